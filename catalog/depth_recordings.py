@@ -2,9 +2,6 @@
 
 from __future__ import annotations
 
-import re
-from collections.abc import Mapping
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated
 
@@ -12,13 +9,11 @@ from pydantic import BaseModel, ConfigDict, Field
 
 from kinedex.catalog.configs import LocalPath, Located, load_yaml
 from kinedex.catalog.depth_cameras import FASTEST_HZ
-from kinedex.ops.errors import ConfigError, did_you_mean
+from kinedex.catalog.recordings import EntriesFile, parse_entries
 
 AUTO, NONE = "auto", "none"
 """Values of `background` that are no file: measured in the recording itself, and absent."""
 
-_NAME = re.compile(r"\w[\w .+-]{0,99}")
-_KEY = "recordings"
 _Number = Annotated[float, Field(allow_inf_nan=False, ge=-1e9, le=1e9)]
 _Vector = Annotated[list[_Number], Field(min_length=3, max_length=3)]
 
@@ -76,35 +71,8 @@ class DepthEntry(BaseModel):
     markers: dict[str, str] = {}
 
 
-@dataclass(frozen=True, eq=False)
-class DepthRecordingsFile:
-    """A file of depth recordings.
-
-    Attributes
-    ----------
-    located : Located
-        The file, with the lines of its keys.
-    recordings : mapping of str to DepthEntry
-        The recordings by name, in the order of the file.
-    """
-
-    located: Located
-    recordings: Mapping[str, DepthEntry]
-
-    @property
-    def folder(self) -> Path:
-        """The folder that relative paths start from."""
-        return self.located.path.parent
-
-    def entry(self, name: str) -> DepthEntry:
-        """Return a recording; a ConfigError names the nearest one where there is none of this name."""
-        if name not in self.recordings:
-            raise self.located.error(f"no recording is called '{name}'{did_you_mean(name, self.recordings)}", _KEY)
-        return self.recordings[name]
-
-    def error(self, name: str, key: str, message: str) -> ConfigError:
-        """Return an error that names a recording's key and its line."""
-        return self.located.error(message, _KEY, name, key)
+DepthRecordingsFile = EntriesFile[DepthEntry]
+"""A file of recordings by depth cameras."""
 
 
 def load_depth_recordings(path: str | Path) -> DepthRecordingsFile:
@@ -126,19 +94,4 @@ def parse_depth_recordings(located: Located) -> DepthRecordingsFile:
     ConfigError
         The file is invalid; the message names the line, the key and what was expected.
     """
-    content = located.mapping()
-    other = next((key for key in content if key != _KEY), None)
-    if other is not None:
-        raise located.error(f"no such key; recordings stand under `{_KEY}`", str(other))
-    entries = content.get(_KEY)
-    if not isinstance(entries, dict) or not entries:
-        raise located.error("expected a mapping of names to recordings, as `recordings: {kick: {depth: …}}`", _KEY)
-    found = {}
-    for name, entry in entries.items():
-        if not isinstance(name, str) or not _NAME.fullmatch(name):
-            raise located.error(
-                "a recording's name must be 1 to 100 letters, digits or ' _.+-', and begin with a letter or digit, got "
-                f"{str(name)[:50]!r}; put numbers in quotes", _KEY, name,
-            )  # fmt: skip
-        found[name] = located.model(DepthEntry, _KEY, name, data=entry)
-    return DepthRecordingsFile(located, found)
+    return EntriesFile(located, dict(parse_entries(located, DepthEntry, "kick: {depth: …}")))

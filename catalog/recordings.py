@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated, Generic, Literal, TypeVar
 
 from pydantic import BaseModel, BeforeValidator, ConfigDict, Field
 
@@ -72,42 +72,82 @@ class CameraRecording(BaseModel):
     truth: LocalPath | None = None
 
 
+Entry = TypeVar("Entry", bound=BaseModel)
+
+
 @dataclass(frozen=True, eq=False)
-class RecordingsFile:
-    """A file of recordings.
+class EntriesFile(Generic[Entry]):
+    """A file of recordings by cameras of one kind.
 
     Attributes
     ----------
     located : Located
         The file, with the lines of its keys.
-    recordings : mapping of str to CameraRecording
+    recordings : mapping of str to Entry
         The recordings by name, in the order of the file.
     """
 
     located: Located
-    recordings: Mapping[str, CameraRecording]
+    recordings: Mapping[str, Entry]
 
     @property
     def folder(self) -> Path:
         """The folder that relative paths start from."""
         return self.located.path.parent
 
-    def recording(self, name: str) -> CameraRecording:
+    def entry(self, name: str) -> Entry:
         """Return a recording; a ConfigError names the nearest one where there is none of this name."""
         if name not in self.recordings:
             raise self.located.error(f"no recording is called '{name}'{did_you_mean(name, self.recordings)}", _KEY)
         return self.recordings[name]
 
-    def keypoint_set(self, name: str) -> str | Path | None:
-        """Return the keypoint set of a recording: a shipped name, or a path from this file's folder; None for none."""
-        given = self.recording(name).keypoint_set
-        if given is None or not ("/" in given or given.endswith((".yaml", ".yml", ".json"))):
-            return given
-        return self.folder / Path(given).expanduser()
-
     def error(self, name: str, key: str, message: str) -> ConfigError:
         """Return an error that names a recording's key and its line."""
         return self.located.error(message, _KEY, name, key)
+
+
+def parse_entries(located: Located, model: type[Entry], example: str) -> Iterator[tuple[str, Entry]]:
+    """Yield the names and recordings of a parsed file.
+
+    Parameters
+    ----------
+    located : Located
+        The parsed file.
+    model : type
+        The model of a recording.
+    example : str
+        A recording as an error shows it, such as "walk: {cameras: …}".
+
+    Raises
+    ------
+    ConfigError
+        The file is invalid; the message names the line, the key and what was expected.
+    """
+    content = located.mapping()
+    other = next((key for key in content if key != _KEY), None)
+    if other is not None:
+        raise located.error(f"no such key; recordings stand under `{_KEY}`", str(other))
+    entries = content.get(_KEY)
+    if not isinstance(entries, dict) or not entries:
+        raise located.error(f"expected a mapping of names to recordings, as `recordings: {{{example}}}`", _KEY)
+    for name, entry in entries.items():
+        if not isinstance(name, str) or not _NAME.fullmatch(name):
+            raise located.error(
+                "a recording's name must be 1 to 100 letters, digits or ' _.+-', and begin with a letter or digit, got "
+                f"{str(name)[:50]!r}; put numbers in quotes", _KEY, name,
+            )  # fmt: skip
+        yield name, located.model(model, _KEY, name, data=entry)
+
+
+class RecordingsFile(EntriesFile[CameraRecording]):
+    """A file of recordings by calibrated cameras."""
+
+    def keypoint_set(self, name: str) -> str | Path | None:
+        """Return the keypoint set of a recording: a shipped name, or a path from this file's folder; None for none."""
+        given = self.entry(name).keypoint_set
+        if given is None or not ("/" in given or given.endswith((".yaml", ".yml", ".json"))):
+            return given
+        return self.folder / Path(given).expanduser()
 
 
 def load_recordings(path: str | Path) -> RecordingsFile:
@@ -136,22 +176,10 @@ def parse_recordings(located: Located) -> RecordingsFile:
     ConfigError
         The file is invalid; the message names the line, the key and what was expected.
     """
-    content = located.mapping()
-    other = next((key for key in content if key != _KEY), None)
-    if other is not None:
-        raise located.error(f"no such key; recordings stand under `{_KEY}`", str(other))
-    entries = content.get(_KEY)
-    if not isinstance(entries, dict) or not entries:
-        raise located.error("expected a mapping of names to recordings, as `recordings: {walk: {cameras: …}}`", _KEY)
     found = {}
-    for name, entry in entries.items():
-        if not isinstance(name, str) or not _NAME.fullmatch(name):
-            raise located.error(
-                "a recording's name must be 1 to 100 letters, digits or ' _.+-', and begin with a letter or digit, got "
-                f"{str(name)[:50]!r}; put numbers in quotes", _KEY, name,
-            )  # fmt: skip
-        found[name] = located.model(CameraRecording, _KEY, name, data=entry)
-        _check(located, name, found[name])
+    for name, recording in parse_entries(located, CameraRecording, "walk: {cameras: …}"):
+        _check(located, name, recording)
+        found[name] = recording
     return RecordingsFile(located, found)
 
 

@@ -10,8 +10,6 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
-import pyarrow as pa
-import pyarrow.compute as pc
 
 from kinedex.catalog.depth_recordings import load_depth_recordings
 from kinedex.ops.errors import KinedexError
@@ -24,7 +22,6 @@ from kinedex.reports.page_environment import page_environment
 from kinedex.reports.person_points import MOST_BYTES, packed_points
 from kinedex.reports.reconstruction_jumps import Jumps, jumps_of
 from kinedex.storage.formats.depth.recording import recording_truth
-from kinedex.storage.snapshot.schemas import result_schema
 from kinedex.storage.store.store import Store
 
 F64 = npt.NDArray[np.float64]
@@ -185,12 +182,8 @@ def _clouds(store: Store, rows: Sequence[Mapping[str, Any]]) -> list[dict[str, A
 
 def _frames_of(store: Store, stage: str, take: str) -> list[dict[str, Any]]:
     """Return the rows of `reconstruction_frames` of a take, in order of time."""
-    parts = [part for part in store.manifest.results.get("reconstruction_frames", ()) if part.stage == stage]
-    own = [
-        rows.filter(pc.equal(rows.column("take"), take)) for rows in store.result_pieces("reconstruction_frames", parts)
-    ]
     names = ["source_frame", "hypothesis", "cost_local", "cost_database", "archive_take", "archive_frame", "remarks"]
-    found = pa.concat_tables([result_schema("reconstruction_frames").empty_table(), *own]).select(names)
+    found = store.rows_of("reconstruction_frames", stage, "take", [take]).select(names)
     return list(found.sort_by("source_frame").to_pylist())
 
 

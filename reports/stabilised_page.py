@@ -9,7 +9,6 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 import pyarrow as pa
-import pyarrow.compute as pc
 
 from kinedex.catalog.kinematics import load_kinematic_chain
 from kinedex.ops.body.kinematic_chain import ChainBody, forward
@@ -23,7 +22,6 @@ from kinedex.pipelines.tracking.tracked_takes import stored_poses
 from kinedex.pipelines.tracking.work import ESTIMATE
 from kinedex.reports.motions import embed, pack, script_json
 from kinedex.reports.page_environment import page_environment
-from kinedex.storage.snapshot.schemas import result_schema
 from kinedex.storage.store.store import Store
 
 F64 = npt.NDArray[np.float64]
@@ -171,9 +169,7 @@ def _live(store: Store) -> set[int]:
 
 
 def _of_take(store: Store, kind: str, stage: str, take: str) -> pa.Table:
-    parts = [part for part in store.manifest.results.get(kind, ()) if part.stage == stage]
-    own = [rows.filter(pc.equal(rows.column("take"), take)) for rows in store.result_pieces(kind, parts)]
-    return pa.concat_tables([result_schema(kind).empty_table(), *own])
+    return store.rows_of(kind, stage, "take", [take])
 
 
 def _moved(store: Store, stage: str, take: str) -> F64:

@@ -164,7 +164,7 @@ class EarlierAnnotations:
 
 def earlier_annotations(store: Store, stage: str, prints: dict[int, str]) -> EarlierAnnotations:
     """Return a stage's earlier annotations of takes whose fingerprints have not changed."""
-    runs = [part.run for part in store.manifest.results.get("annotated_takes", ()) if part.stage == stage]
+    runs = [part.run for part in store.stage_parts("annotated_takes", stage)]
     if not runs:
         return EarlierAnnotations(store, stage, "", {})
     rows = store.result("annotated_takes", run=runs[-1]).select(["take_id", "fingerprint", "searched"]).to_pylist()

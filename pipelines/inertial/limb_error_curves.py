@@ -285,7 +285,7 @@ class StoredFigures:
 def error_figures(store: Store, stage: str) -> StoredFigures:
     """Return the error statistics of all takes that a stage has stored."""
     found = StoredFigures({}, {})
-    parts = [part for part in store.manifest.results.get(ERRORS, ()) if part.stage == stage]
+    parts = store.stage_parts(ERRORS, stage)
     for rows in store.result_pieces(ERRORS, parts, ["take_id", "limb", "degrees", "swing_deg", "valid", "tau_deg"]):
         for limb in pc.unique(rows.column("limb")).to_pylist():
             own = rows.filter(pc.equal(rows.column("limb"), limb))

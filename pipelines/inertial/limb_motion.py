@@ -249,7 +249,7 @@ class LimbFigures:
 
 def limb_figures(store: Store, stage: str) -> LimbFigures:
     """Return statistics of all limbs that a stage has stored."""
-    parts = [part for part in store.manifest.results.get(KIND, ()) if part.stage == stage]
+    parts = store.stage_parts(KIND, stage)
     limbs, columns = ["take_id", "limb", "basis"], ["take_id", "limb", "basis", "jump"]
     counted = [rows.group_by(limbs).aggregate(_SUMS) for rows in store.result_pieces(KIND, parts, columns)]
     bases, frames, jumped = Counter[str](), dict[int, int](), set[int]()
@@ -320,7 +320,7 @@ def stored_limbs(store: Store, stage: str, takes: Iterable[str] | None = None) -
         Names of the takes to return; by default all takes of the stage.
     """
     wanted = None if takes is None else pa.array(sorted(set(takes)), pa.string())
-    parts = [part for part in store.manifest.results.get(KIND, ()) if part.stage == stage]
+    parts = store.stage_parts(KIND, stage)
     waiting: list[pa.Table] = []
     for piece in store.result_pieces(KIND, parts):
         rows = piece if wanted is None else piece.filter(pc.is_in(piece.column("take"), wanted))

@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 from typing import Annotated, Any, Literal, Self
 
-from pydantic import BaseModel, ConfigDict, Field, create_model, field_validator, model_validator
+from pydantic import AfterValidator, BaseModel, ConfigDict, Field, create_model, field_validator, model_validator
 
 from kinedex.catalog.limbs import chosen_limbs
 from kinedex.catalog.sensorsets import FASTEST_HZ, SLOWEST_HZ
@@ -187,6 +187,10 @@ def known_limbs(limbs: list[str]) -> list[str]:
     return limbs
 
 
+Limbs = Annotated[list[str], AfterValidator(known_limbs)]
+"""Names of limbs or of groups of them."""
+
+
 class LimbOrientationsParameters(BaseModel):
     """The parameters of the stage `limb_orientations`."""
 
@@ -197,15 +201,10 @@ class LimbOrientationsParameters(BaseModel):
         description="SQL filter over the columns of takes: those whose limbs are read; unless given, those that wear "
         "sensors by read_imu, and all in a pipeline without it",
     )
-    limbs: list[str] = Field(
+    limbs: Limbs = Field(
         default_factory=list,
         description="limbs, or groups of them (trunk, head, arms, hands, legs), that are read; all unless given",
     )
-
-    @field_validator("limbs")
-    @classmethod
-    def _known(cls, limbs: list[str]) -> list[str]:
-        return known_limbs(limbs)
 
     @property
     def chosen(self) -> tuple[str, ...]:
@@ -219,7 +218,7 @@ class SimulateImuParameters(BaseModel):
     model_config = ConfigDict(extra="forbid")
 
     where: str = Field("true", description="SQL filter over the columns of takes: those that wear sensors")
-    limbs: list[str] = Field(
+    limbs: Limbs = Field(
         default_factory=list,
         description="limbs, or groups of them, that wear a sensor; all whose orientation is known unless given",
     )
@@ -244,11 +243,6 @@ class SimulateImuParameters(BaseModel):
     )
     declination_deg: float = Field(0.0, ge=-180, le=180, description="degrees from X of F_GI to magnetic north")
 
-    @field_validator("limbs")
-    @classmethod
-    def _known(cls, limbs: list[str]) -> list[str]:
-        return known_limbs(limbs)
-
 
 class BreakTrackParameters(BaseModel):
     """The parameters of the stage `break_track`, which puts simulated tracking errors into the limbs of takes."""
@@ -256,7 +250,7 @@ class BreakTrackParameters(BaseModel):
     model_config = ConfigDict(extra="forbid")
 
     where: str = Field("true", description="SQL filter over the columns of takes: those that are broken")
-    limbs: list[str] = Field(
+    limbs: Limbs = Field(
         default_factory=lambda: ["arms", "hands", "legs"],
         description="limbs, or groups of them, that errors are put into; the others stay as they are",
     )
@@ -265,8 +259,3 @@ class BreakTrackParameters(BaseModel):
     )
     annotators: int = Field(2, ge=0, le=20, description="simulated annotators, each with a threshold of its own")
     seed: int = Field(0, ge=0, description="seed of errors, noise and annotators")
-
-    @field_validator("limbs")
-    @classmethod
-    def _known(cls, limbs: list[str]) -> list[str]:
-        return known_limbs(limbs)

@@ -82,9 +82,8 @@ class ReusedTakes:
 
 def _are_sound(store: Store, stage: str, kinds: Iterable[str]) -> bool:
     """Return whether all parts of a stage's results can be read."""
-    parts = [part for kind in kinds for part in store.manifest.results.get(kind, ()) if part.stage == stage]
     try:
-        store.checked.parts(parts)
+        store.checked.parts([part for kind in kinds for part in store.stage_parts(kind, stage)])
     except StoreError:
         return False  # repair removes damaged parts, and the stage then computes all rows again
     return True

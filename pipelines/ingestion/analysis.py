@@ -130,6 +130,40 @@ def judged(body: Body, joints: tuple[str, ...], stored: Collection[str]) -> tupl
     return columns, quality_warnings(figures, body.rate_hz)
 
 
+def body_row(
+    body: Body, words: npt.NDArray[np.uint64], feature_set: FeatureSet, rate_hz: float, stored: Collection[str]
+) -> dict[str, Any]:
+    """Return the columns of `takes` that follow from a body: skeleton, time, quality, warnings and known features.
+
+    Parameters
+    ----------
+    body : Body
+        The body as it was read.
+    words : uint64 array (T,)
+        Its words at the analysis rate.
+    feature_set : FeatureSet
+        The features of the words.
+    rate_hz : float
+        The analysis rate, in frames per second.
+    stored : collection of str
+        The names of the quality figures that the store has (`stored_figures`).
+    """
+    known = known_features(feature_set, body)
+    figures, doubts = judged(body, feature_set.joints, stored)
+    return figures | {
+        "skeleton": body.skeleton,
+        "unit": body.unit,
+        "source_rate_hz": body.rate_hz,
+        "source_frames": body.frames,
+        "rate_hz": rate_hz,
+        "frames": len(words),
+        "seconds": body.frames / body.rate_hz,
+        "invalid_frames": int(np.count_nonzero(words == NO_WORD)),
+        "warnings": [*body.warnings, *blind(feature_set, body), *doubts],
+        "known": None if known == feature_set.every_bit else known,
+    }
+
+
 def stored_figures(columns: Mapping[str, TakeColumn]) -> frozenset[str]:
     """Return the names of figures among the declared columns of a store, excluding columns of the user."""
     return frozenset(name for name, column in columns.items() if name in QUALITY_COLUMNS and column.origin == "quality")

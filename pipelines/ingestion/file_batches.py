@@ -15,7 +15,7 @@ from kinedex.catalog.skeletons.mappings import Mappings
 from kinedex.ops.errors import SourceError, StoreError
 from kinedex.ops.intervals import in_seconds
 from kinedex.ops.words import NO_WORD
-from kinedex.pipelines.ingestion.analysis import analyse, blind, judged, known_features
+from kinedex.pipelines.ingestion.analysis import analyse, body_row
 from kinedex.pipelines.ingestion.described_takes import group_values
 from kinedex.pipelines.ingestion.failures import Failure, failure
 from kinedex.pipelines.ingestion.memory_limit import MemoryShare
@@ -193,11 +193,10 @@ def _stamp(path: Path) -> tuple[int, int]:
 
 
 def _take_row(batch: Batch, task: Task, content: str, body: Body, words: npt.NDArray[np.uint64]) -> dict[str, Any]:
-    known = known_features(batch.feature_set, body)
-    figures, doubts = judged(body, batch.feature_set.joints, batch.figures)
+    judged = body_row(body, words, batch.feature_set, batch.rate_hz, batch.figures)
     return (
         task.groups
-        | figures
+        | judged
         | {
             "take_id": task.take_id,
             "name": task.name,
@@ -207,7 +206,6 @@ def _take_row(batch: Batch, task: Task, content: str, body: Body, words: npt.NDA
             "source_bytes": task.motion.size,
             "source_mtime_ns": task.motion.mtime_ns,
             "format": task.motion.format,
-            "skeleton": body.skeleton,
             "skeleton_source": task.skeleton.path if task.skeleton is not None else None,
             "recipe": task.recipe,
             "unit": body.unit,
@@ -218,8 +216,7 @@ def _take_row(batch: Batch, task: Task, content: str, body: Body, words: npt.NDA
             "seconds": in_seconds(body.frames, body.rate_hz),
             "invalid_frames": int(np.count_nonzero(words == NO_WORD)),
             **group_values(task.groups),
-            "warnings": [*task.warnings, *body.warnings, *blind(batch.feature_set, body), *doubts],
+            "warnings": [*task.warnings, *judged["warnings"]],
             **({"person": task.person, "persons": task.persons} if task.persons > 1 else {}),
-            "known": None if known == batch.feature_set.every_bit else known,
         }
     )

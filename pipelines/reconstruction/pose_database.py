@@ -11,7 +11,7 @@ from __future__ import annotations
 
 from collections import defaultdict
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 import numpy.typing as npt
@@ -233,7 +233,7 @@ def _measure(
     for one, poses, _ in _frames(store, [one for one in takes if one.take not in same]):
         bones[one.take] = bone_lengths_of(poses) if len(poses) else None
         bar.advance()
-    return [TakePoses(one.take_id, one.take, one.actor, one.frames, one.fingerprint, bones[one.take]) for one in takes]
+    return [replace(one, bone_lengths=bones[one.take]) for one in takes]
 
 
 def _frames(store: Store, takes: Sequence[TakePoses]) -> Iterator[tuple[TakePoses, F64, I64]]:
@@ -289,10 +289,7 @@ class _Build:
         first = self.first[former.take]
         self.number[first : first + len(former.rows)] = self.kept.add(former.directions, always=True)
         stands_for = np.where(former.stands_for < 0, -1, self.number[former.stands_for])
-        return TakePoses(
-            one.take_id, one.take, one.actor, one.frames, one.fingerprint, one.bone_lengths, former.rows, stands_for,
-            former.directions,
-        )  # fmt: skip
+        return replace(one, rows=former.rows, stands_for=stands_for, directions=former.directions)
 
     def _thinned(self, one: TakePoses, poses: F64, frames: I64) -> TakePoses:
         """Return a take after comparing its frames with all poses kept so far."""
@@ -313,10 +310,7 @@ class _Build:
             self.fresh.add(directions[rows[~known]], always=True)
             old = self.first[former.take] + np.searchsorted(former.rows, frames[rows[known]])
             self.number[old] = own[known]
-        return TakePoses(
-            one.take_id, one.take, one.actor, one.frames, one.fingerprint, one.bone_lengths, frames[rows], stands_for,
-            directions[rows],
-        )  # fmt: skip
+        return replace(one, rows=frames[rows], stands_for=stands_for, directions=directions[rows])
 
 
 def pose_tables(database: PoseDatabase, run: str) -> Iterator[pa.Table]:

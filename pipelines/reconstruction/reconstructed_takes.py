@@ -318,16 +318,10 @@ def explained_votes(
     pyarrow.Table
         Rows of `depth_votes` with the columns `EXPLAINED`, by take and frame.
     """
-    parts = [part for part in store.manifest.results.get("depth_votes", ()) if part.stage == stage]
-    names = pa.array(sorted(takes), pa.string())
-    pieces = [result_schema("depth_votes").empty_table()]
-    for rows in store.result_pieces("depth_votes", parts):
-        wanted = pc.is_in(rows.column("take"), names)
-        if interval is not None:
-            frame = rows.column("source_frame")
-            wanted = pc.and_(wanted, pc.and_(pc.greater_equal(frame, interval[0]), pc.less(frame, interval[1])))
-        pieces.append(rows.filter(wanted))
-    found = pa.concat_tables(pieces).select(list(EXPLAINED))
+    found = store.rows_of("depth_votes", stage, "take", takes).select(list(EXPLAINED))
+    if interval is not None:
+        frame = found.column("source_frame")
+        found = found.filter(pc.and_(pc.greater_equal(frame, interval[0]), pc.less(frame, interval[1])))
     order = [("take", "ascending"), ("source_frame", "ascending"), ("direction", "descending"),
              ("hypothesis", "descending"), ("candidate", "ascending")]  # fmt: skip
     return found.take(pc.sort_indices(found, order))

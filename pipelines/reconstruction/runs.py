@@ -40,7 +40,7 @@ from kinedex.pipelines.reconstruction.recording_tracks import (
     scene_of,
     track_recording,
 )
-from kinedex.pipelines.recordings.recorded_takes import Provenance
+from kinedex.pipelines.recordings.recorded_takes import Provenance, stamp_of
 from kinedex.pipelines.recordings.runs import Finished, Outcome, Place, is_compiled, run_tasks, take_ids_of
 from kinedex.storage.formats.depth.recording import CAMERA_MOVED, DepthRecording, read_recording, recording_files
 from kinedex.storage.formats.motion.sources import checksum
@@ -194,14 +194,7 @@ def provenance_of(file: DepthRecordingsFile, name: str) -> Provenance:
 
 def files_stamp(file: DepthRecordingsFile, name: str) -> str:
     """Return a hash of the settings of a recording, and of its files by path, size and time."""
-    hasher = hashlib.sha256(repr((name, _settings(file, name))).encode())
-    for key, path in recording_files(file, name):
-        try:
-            found = path.stat()
-        except OSError as fault:
-            raise KinedexError(f"{path}: cannot be read: {fault.strerror}") from None
-        hasher.update(repr((key, str(path), found.st_size, found.st_mtime_ns)).encode())
-    return hasher.hexdigest()[:32]
+    return stamp_of((name, _settings(file, name)), recording_files(file, name))
 
 
 def _settings(file: DepthRecordingsFile, name: str) -> dict[str, object]:

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import hashlib
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any, Protocol
 
-import numpy as np
-import numpy.typing as npt
 import pyarrow as pa
 
 from kinedex.catalog.features import FeatureSet
@@ -17,9 +17,8 @@ from kinedex.ops.words import NO_WORD
 from kinedex.pipelines.ingestion.analysis import (
     analyse,
     blind,
+    body_row,
     declarable_figures,
-    judged,
-    known_features,
     stored_figures,
 )
 from kinedex.pipelines.ingestion.described_takes import group_values
@@ -65,6 +64,18 @@ class Provenance:
     mtime_ns: int
     recording: str | None = None
     cameras: tuple[str, ...] = ()
+
+
+def stamp_of(settings: object, files: Iterable[tuple[str, Path]]) -> str:
+    """Return a hash of the settings of a recording, and of its files by kind, path, size and time."""
+    hasher = hashlib.sha256(repr(settings).encode())
+    for kind, path in files:
+        try:
+            found = path.stat()
+        except OSError as fault:
+            raise KinedexError(f"{path}: cannot be read: {fault.strerror}") from None
+        hasher.update(repr((kind, str(path), found.st_size, found.st_mtime_ns)).encode())
+    return hasher.hexdigest()[:32]
 
 
 class RecordedTake(Protocol):
@@ -127,7 +138,7 @@ def put_takes(writer: StoreWriter, takes: Sequence[RecordedTake]) -> dict[str, i
             body = take.joints(features)
             analysed = analyse(body, features, rate_hz)
             frames.add(ids[take.name], *analysed)
-            rows.append(_row(take, ids[take.name], body, analysed[2], features, rate_hz, figures))
+            rows.append(_row(take, ids[take.name], body_row(body, analysed[2], features, rate_hz, figures)))
         part = frames.close()
     writer.add_takes(pa.Table.from_pylist(rows, schema=writer.takes_schema), part)
     return ids
@@ -157,19 +168,10 @@ def declare_recorded_columns(writer: StoreWriter) -> None:
     writer.declare_columns(declarable_figures(writer.columns)[0])
 
 
-def _row(
-    take: RecordedTake,
-    take_id: int,
-    body: Body,
-    words: npt.NDArray[np.uint64],
-    features: FeatureSet,
-    rate_hz: float,
-    figures: frozenset[str],
-) -> dict[str, Any]:
-    known, origin = known_features(features, body), take.provenance
-    columns, doubts = judged(body, features.joints, figures)
+def _row(take: RecordedTake, take_id: int, judged: dict[str, Any]) -> dict[str, Any]:
+    origin = take.provenance
     return (
-        columns
+        judged
         | group_values({} if take.actor is None else {"actor": take.actor})
         | {
             "take_id": take_id,
@@ -180,7 +182,6 @@ def _row(
             "source_bytes": origin.size,
             "source_mtime_ns": origin.mtime_ns,
             "format": take.format,
-            "skeleton": body.skeleton,
             "skeleton_source": None,
             "recipe": take.recipe,
             "unit": body.unit,
@@ -193,6 +194,5 @@ def _row(
             "warnings": [*body.warnings, *blind(features, body), *doubts],
             "recording": origin.recording,
             "cameras": list(origin.cameras),
-            "known": None if known == features.every_bit else known,
         }
     )

@@ -57,7 +57,7 @@ def put_beside(
         The values in this column whose earlier rows are removed.
     """
     store = writer.store
-    before = [part for part in store.manifest.results.get(kind, ()) if part.stage == stage]
+    before = store.stage_parts(kind, stage)
     stay = set().union(*(values_in(store, part, column) for part in before)) - set(gone)
     reused = reused_parts(store, kind, stage, stay, column)
 
@@ -73,7 +73,7 @@ def put_beside(
 
 def earlier_rows(store: Store, kind: str, stage: str) -> list[dict[str, object]]:
     """Return the rows of a small kind of results that a stage has; an empty list if they cannot be read."""
-    parts = [part for part in store.manifest.results.get(kind, ()) if part.stage == stage]
+    parts = store.stage_parts(kind, stage)
     try:
         return [row for rows in store.result_pieces(kind, parts) for row in rows.to_pylist()]
     except KinedexError:

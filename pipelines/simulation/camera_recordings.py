@@ -3,45 +3,47 @@
 from __future__ import annotations
 
 import csv
-import io
-from collections.abc import Callable, Sequence
-from contextlib import AbstractContextManager
+import json
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
-import yaml
+import pyarrow as pa
+import pyarrow.parquet as pq
 
 from kinedex.catalog.keypoint_sets import KeypointSet, load_keypoint_set
-from kinedex.catalog.kinematics import load_kinematic_chain
+from kinedex.catalog.kinematics import load_kinematic_chain, load_surface
+from kinedex.ops.body.capsules import body_capsules
+from kinedex.ops.body.kinematic_chain import ChainBody, vector_of
 from kinedex.ops.body.pose_fit import measured_body
 from kinedex.ops.errors import KinedexError, ParameterError
+from kinedex.ops.simulation.cameras import CameraRing
 from kinedex.ops.simulation.failures import Limbs
 from kinedex.ops.simulation.recording import Setup, SimulatedRecording, simulated_recording, take_generators
+from kinedex.ops.tracking.body_mask import render_mask
+from kinedex.ops.tracking.views import camera_view
+from kinedex.pipelines.engine.display import Progress
 from kinedex.pipelines.export.export import export_take
 from kinedex.pipelines.export.request import How
+from kinedex.pipelines.simulation.recording_files import RECORDINGS as RECORDINGS
 from kinedex.pipelines.simulation.recording_files import (
+    TRUTH,
     chosen_takes,
-    new_folder,
-    recording_names,
+    filmed_joints,
     require_new,
-    write_calibration,
-    write_keypoints,
-    write_masks,
+    write_recordings,
 )
-from kinedex.storage.snapshot.parts import joint_positions
 from kinedex.storage.store.store import Store
 
 F64 = npt.NDArray[np.float64]
 I64 = npt.NDArray[np.int64]
 
-RECORDINGS, TRUTH, FAILURES = "recordings.yaml", "truth", "failures.csv"
+FAILURES = "failures.csv"
 
 _ARM, _LEG = ("elbow", "wrist"), ("hip", "knee", "ankle", "toes")
-
-Progress = Callable[[str, int], AbstractContextManager[Any]]
 
 
 @dataclass(frozen=True)
@@ -128,9 +130,32 @@ def simulate_cameras(store: Store, request: Request, folder: Path, progress: Pro
     takes = chosen_takes(store, request.takes, request.where)
     keypoints = load_keypoint_set(request.keypoint_set)
     limbs = limbs_of(keypoints)
-    with new_folder(folder) as unfinished:
-        made = _write_all(store, request, takes, keypoints, limbs, unfinished, progress)
-    return Simulated(folder, *made)
+    frames = failures = 0
+
+    def record(unfinished: Path, name: str, take: str) -> dict[str, Any]:
+        nonlocal frames, failures
+        made, body, positions = _filmed(store, request, take, keypoints, limbs)
+        frames, failures = frames + len(made.pixels), failures + len(made.failures)
+        home = unfinished / name
+        home.mkdir()
+        write_calibration(home / "calibration.toml", request.setup.ring, made)
+        entry: dict[str, Any] = {
+            "cameras": f"{name}/calibration.toml",
+            "keypoints": write_keypoints(home, keypoints, made, request.form),
+            "keypoint_set": request.keypoint_set,
+            "rate_hz": store.rate_hz,
+            "unit": "m",
+            "up": "y",
+        }
+        if request.silhouettes:
+            entry["silhouettes"] = write_masks(home, request.setup.ring, made, body, positions)
+        export_take(store, take, How("csv", joints=True), unfinished / TRUTH / f"{name}.csv")
+        _add_failures(unfinished / TRUTH / FAILURES, name, made)
+        return entry | {"truth": f"{TRUTH}/{name}.csv"}
+
+    head = f"# Simulated by kinedex, seed {request.seed}. The truth is for `evaluate_track` alone.\n"
+    shown = write_recordings(folder, takes, head, progress, record)
+    return Simulated(folder, shown, frames, failures)
 
 
 def limbs_of(keypoints: KeypointSet) -> Limbs:
@@ -156,47 +181,12 @@ def limbs_of(keypoints: KeypointSet) -> Limbs:
     return Limbs(pair(_ARM), pair(_LEG))
 
 
-def _write_all(
-    store: Store,
-    request: Request,
-    takes: Sequence[str],
-    keypoints: KeypointSet,
-    limbs: Limbs,
-    folder: Path,
-    progress: Progress,
-) -> tuple[dict[str, str], int, int]:
-    """Write every recording and the recordings file; return the recordings, and numbers of frames and failures."""
-    names = recording_names(takes)
-    entries: dict[str, dict[str, Any]] = {}
-    failures: list[tuple[str, SimulatedRecording]] = []
-    frames = 0
-    (folder / TRUTH).mkdir()
-    with progress("recordings", len(takes)) as bar:
-        for name, take in zip(names, takes, strict=True):
-            made, positions = _filmed(store, request, take, keypoints, limbs)
-            frames += len(made.pixels)
-            entries[name] = _write_one(request, keypoints, made, positions, folder, name, store.rate_hz)
-            export_take(store, take, How("csv", joints=True), folder / TRUTH / f"{name}.csv")
-            entries[name]["truth"] = f"{TRUTH}/{name}.csv"
-            failures.append((name, made))
-            bar.advance(1)
-    (folder / TRUTH / FAILURES).write_bytes(_failures_text(failures).encode())
-    text = yaml.safe_dump({"recordings": entries}, sort_keys=False, allow_unicode=True, width=200)
-    head = f"# Simulated by kinedex, seed {request.seed}. The truth is for `evaluate_track` alone.\n"
-    (folder / RECORDINGS).write_bytes((head + text).encode())
-    return dict(zip(names, takes, strict=True)), frames, sum(len(made.failures) for _, made in failures)
-
-
 def _filmed(
     store: Store, request: Request, take: str, keypoints: KeypointSet, limbs: Limbs
-) -> tuple[SimulatedRecording, F64]:
-    """Simulate the recording of a take; return it with its joint positions (J, 3, T)."""
+) -> tuple[SimulatedRecording, ChainBody, F64]:
+    """Simulate the recording of a take; return it with the body and its joint positions (J, 3, T)."""
     chain = load_kinematic_chain()
-    table = store.frames(take).combine_chunks()
-    unknown = [joint for joint in chain.joints if joint not in table.column_names]
-    if unknown:
-        raise KinedexError(f"the store has no joint '{unknown[0]}', which a body before cameras needs")
-    positions = np.ascontiguousarray(joint_positions(table, chain.joints), np.float64)
+    positions = filmed_joints(store, take, chain.joints)
     bad = ~np.isfinite(positions).all(axis=(0, 1))
     if bad.any() or not positions.shape[2]:
         where = f"frame {int(np.argmax(bad))} has a joint without a place" if bad.any() else "it has no frame"
@@ -205,42 +195,130 @@ def _filmed(
     points = keypoints.body_points(keypoints.order, body)
     generators = take_generators(request.seed, take)
     made = simulated_recording(request.setup, body, positions, points, limbs, store.rate_hz, generators)
-    return made, positions
+    return made, body, positions
 
 
-def _write_one(
-    request: Request,
-    keypoints: KeypointSet,
-    made: SimulatedRecording,
-    positions: F64,
-    folder: Path,
-    name: str,
-    rate_hz: float,
-) -> dict[str, Any]:
-    """Write the files of a recording; return its entry in the recordings file."""
-    home = folder / name
-    home.mkdir()
-    ring = request.setup.ring
-    write_calibration(home / "calibration.toml", ring, made)
-    entry: dict[str, Any] = {
-        "cameras": f"{name}/calibration.toml",
-        "keypoints": write_keypoints(home, keypoints, made, request.form),
-        "keypoint_set": request.keypoint_set,
-        "rate_hz": rate_hz,
-        "unit": "m",
-        "up": "y",
-    }
-    if request.silhouettes:
-        entry["silhouettes"] = write_masks(home, ring, made, positions)
-    return entry
-
-
-def _failures_text(failures: Sequence[tuple[str, SimulatedRecording]]) -> str:
-    text = io.StringIO()
-    table = csv.writer(text, lineterminator="\n")
-    table.writerow(["recording", "start", "stop", "kind", "limb", "cameras"])
-    for name, made in failures:
+def _add_failures(path: Path, name: str, made: SimulatedRecording) -> None:
+    """Add the failures of a recording to the table of all recordings."""
+    with path.open("a", encoding="utf-8", newline="") as file:
+        table = csv.writer(file, lineterminator="\n")
+        if not file.tell():
+            table.writerow(["recording", "start", "stop", "kind", "limb", "cameras"])
         for one in made.failures:
             cameras = " ".join(f"cam{camera + 1}" for camera in one.cameras)
             table.writerow([name, one.start, one.stop, one.kind, one.limb, cameras])
-    return text.getvalue()
+
+
+MASK_PART = 2
+"""The factor by which masks are smaller than the images, if it divides width and height."""
+
+
+def camera_names(count: int) -> list[str]:
+    """Return the names of the cameras: cam1, cam2, …"""
+    return [f"cam{number + 1}" for number in range(count)]
+
+
+def write_calibration(path: Path, ring: CameraRing, made: SimulatedRecording) -> None:
+    """Write the cameras in the TOML format of AniPose and Pose2Sim: rotation vectors, lengths in metres."""
+    lines = []
+    for name, rotation, translation in zip(camera_names(ring.count), made.rotations, made.translations, strict=True):
+        vector = vector_of(np.ascontiguousarray(rotation))
+        lines += [
+            f"[{name}]",
+            f'name = "{name}"',
+            f"size = [{ring.size[0]}, {ring.size[1]}]",
+            f"matrix = {ring.matrix.tolist()}",
+            "distortions = [0.0, 0.0, 0.0, 0.0]",
+            f"rotation = {vector.tolist()}",
+            f"translation = {translation.tolist()}",
+            "",
+        ]
+    path.write_bytes("\n".join(lines).encode())
+
+
+def write_keypoints(home: Path, keypoints: KeypointSet, made: SimulatedRecording, form: str) -> str:
+    """Write the keypoints of a recording.
+
+    Parameters
+    ----------
+    home : Path
+        The folder of the recording.
+    keypoints : KeypointSet
+        The names of the P keypoints.
+    made : SimulatedRecording
+        The recording.
+    form : str
+        The format: parquet, one table; or openpose, a JSON file for each frame in a folder for each camera.
+
+    Returns
+    -------
+    str
+        The path of the files, as written in the recordings file.
+    """
+    names = camera_names(made.pixels.shape[1])
+    if form == "openpose":
+        for v, name in enumerate(names):
+            (home / "keypoints" / name).mkdir(parents=True)
+            for t in range(len(made.pixels)):
+                path = home / "keypoints" / name / f"{name}_{t:06d}_keypoints.json"
+                path.write_bytes(_openpose(made.pixels[t, v], made.confidence[t, v]).encode())
+        return f"{home.name}/keypoints/{{camera}}/*.json"
+    frames, cameras, points = made.confidence.shape
+    t, v, p = (axis.ravel() for axis in np.indices((frames, cameras, points)))
+    table = pa.table(
+        {
+            "camera": pa.DictionaryArray.from_arrays(pa.array(v, pa.int32()), pa.array(names)),
+            "frame": pa.array(t, pa.int32()),
+            "keypoint": pa.DictionaryArray.from_arrays(pa.array(p, pa.int32()), pa.array(list(keypoints.order))),
+            "x": pa.array(made.pixels[..., 0].ravel(), pa.float32()),
+            "y": pa.array(made.pixels[..., 1].ravel(), pa.float32()),
+            "confidence": pa.array(made.confidence.ravel(), pa.float32()),
+        }
+    )
+    pq.write_table(table, home / "keypoints.parquet", compression="zstd")
+    return f"{home.name}/keypoints.parquet"
+
+
+def _openpose(pixels: F64, confidence: F64) -> str:
+    """Return the JSON of a frame of a camera; it has no person if no keypoint is seen."""
+    rows = np.round(np.concatenate([pixels, confidence[:, None]], axis=1), 4)
+    person = {"person_id": [-1], "pose_keypoints_2d": rows.ravel().tolist()}
+    return json.dumps({"version": 1.3, "people": [person] if confidence.any() else []}) + "\n"
+
+
+def write_masks(home: Path, ring: CameraRing, made: SimulatedRecording, body: ChainBody, positions: F64) -> str:
+    """Write a mask for each frame and camera, except for frames in which a camera is blank.
+
+    Parameters
+    ----------
+    home : Path
+        The folder of the recording.
+    ring : CameraRing
+        The cameras.
+    made : SimulatedRecording
+        The recording.
+    positions : float64 array (J, 3, T)
+        The joints of the chain in metres.
+
+    Returns
+    -------
+    str
+        The path of the files, as written in the recordings file.
+    """
+    from PIL import Image
+
+    capsules = body_capsules(body, load_surface())
+    part = MASK_PART if not any(side % MASK_PART for side in ring.size) else 1
+    width, height = (side // part for side in ring.size)
+    blank = np.zeros(made.confidence.shape[:2], bool)
+    for one in made.failures:
+        if one.kind == "views":
+            blank[one.start : one.stop, list(one.cameras)] = True
+    for v, name in enumerate(camera_names(ring.count)):
+        (home / "masks" / name).mkdir(parents=True)
+        view = camera_view(ring.matrix, made.rotations[v], made.translations[v], (), ring.size, (width, height))
+        for t in np.flatnonzero(~blank[:, v]).tolist():
+            mask = render_mask(capsules, np.ascontiguousarray(positions[:, :, t]), view)
+            image = Image.fromarray(np.where(mask, 255, 0).astype(np.uint8), mode="L")
+            image.save(home / "masks" / name / f"{name}_{t:06d}.png", optimize=False, compress_level=6)
+    return f"{home.name}/masks/{{camera}}/*.png"

@@ -3,15 +3,12 @@
 from __future__ import annotations
 
 import zlib
-from collections.abc import Callable, Mapping
-from contextlib import AbstractContextManager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
-import yaml
 
 from kinedex.catalog.depth_cameras import DepthCamera
 from kinedex.catalog.filmed_bodies import FilmedBody, load_filmed_body
@@ -20,19 +17,22 @@ from kinedex.ops.depth.pose_database import bone_lengths_of
 from kinedex.ops.errors import KinedexError, ParameterError, did_you_mean
 from kinedex.ops.simulation.depth_scene import CameraPlace, DepthScene, on_floor, place_camera
 from kinedex.ops.simulation.depth_sensors import SENSORS, UNIT_M, DepthSensor
-from kinedex.pipelines.simulation.recording_files import chosen_takes, new_folder, recording_names, require_new
+from kinedex.pipelines.engine.display import Progress
+from kinedex.pipelines.simulation.recording_files import RECORDINGS as RECORDINGS
+from kinedex.pipelines.simulation.recording_files import (
+    TRUTH,
+    chosen_takes,
+    filmed_joints,
+    require_new,
+    write_recordings,
+)
 from kinedex.storage.formats.depth.camera_file import write_camera
 from kinedex.storage.formats.depth.png import write_depth_png
 from kinedex.storage.formats.motion.joint_motion import JointMotion
 from kinedex.storage.formats.motion.table_writer import write_csv
-from kinedex.storage.snapshot.parts import joint_positions
 from kinedex.storage.store.store import Store
 
 F64 = npt.NDArray[np.float64]
-
-RECORDINGS, TRUTH = "recordings.yaml", "truth"
-
-Progress = Callable[[str, int], AbstractContextManager[Any]]
 
 
 @dataclass(frozen=True)
@@ -168,30 +168,28 @@ def simulate_depth(store: Store, request: Request, folder: Path, progress: Progr
     require_new(folder)
     body = load_filmed_body(request.body)
     takes = chosen_takes(store, request.takes, request.where)
-    names = recording_names(takes)
-    entries: dict[str, dict[str, Any]] = {}
     outside: dict[str, int] = {}
     frames = 0
-    with new_folder(folder) as unfinished, progress("recordings", len(takes)) as bar:
-        (unfinished / TRUTH).mkdir()
-        for name, take in zip(names, takes, strict=True):
-            filmed = _filmed(store, request, body, take)
-            entries[name] = write_recording(unfinished, name, filmed, store.rate_hz)
-            frames += len(filmed.joints)
-            if missing := int(filmed.place.outside.sum()):
-                outside[name] = missing
-            bar.advance(1)
-        _write_entries(unfinished, request, entries)
-    return Simulated(folder, dict(zip(names, takes, strict=True)), frames, outside)
+
+    def record(unfinished: Path, name: str, take: str) -> dict[str, Any]:
+        nonlocal frames
+        filmed = _filmed(store, request, body, take)
+        frames += len(filmed.joints)
+        if missing := int(filmed.place.outside.sum()):
+            outside[name] = missing
+        return write_recording(unfinished, name, filmed, store.rate_hz)
+
+    head = (
+        f"# Simulated by kinedex: camera {request.camera}, body {Path(request.body).stem!r}, seed {request.seed}.\n"
+        "# The truth is for `evaluate_reconstruction` alone.\n"
+    )
+    shown = write_recordings(folder, takes, head, progress, record)
+    return Simulated(folder, shown, frames, outside)
 
 
 def _filmed(store: Store, request: Request, body: FilmedBody, take: str) -> FilmedTake:
     """Return an interval of a take of a store, placed in front of the simulated camera."""
-    table = store.frames(take).combine_chunks()
-    unknown = [joint for joint in JOINTS if joint not in table.column_names]
-    if unknown:
-        raise KinedexError(f"the store has no joint '{unknown[0]}', which a body before cameras needs")
-    joints = np.ascontiguousarray(joint_positions(table, JOINTS).transpose(2, 0, 1), np.float64)
+    joints = np.ascontiguousarray(filmed_joints(store, take, JOINTS).transpose(2, 0, 1))
     start, stop = request.interval or (0, len(joints))
     if not 0 <= start < stop <= len(joints):
         asked = "" if request.interval is None else f", not {start}:{stop}"
@@ -253,12 +251,3 @@ def write_recording(folder: Path, name: str, filmed: FilmedTake, rate_hz: float)
         "rate_hz": rate_hz,
         "truth": f"{TRUTH}/{name}.csv",
     }
-
-
-def _write_entries(folder: Path, request: Request, entries: Mapping[str, Mapping[str, Any]]) -> None:
-    text = yaml.safe_dump({"recordings": entries}, sort_keys=False, allow_unicode=True, width=200)
-    head = (
-        f"# Simulated by kinedex: camera {request.camera}, body {Path(request.body).stem!r}, seed {request.seed}.\n"
-        "# The truth is for `evaluate_reconstruction` alone.\n"
-    )
-    (folder / RECORDINGS).write_bytes((head + text).encode())

@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from contextlib import AbstractContextManager
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
@@ -17,6 +16,7 @@ from kinedex.catalog.imu_grades import load_grade
 from kinedex.catalog.limbs import chosen_limbs
 from kinedex.ops.errors import KinedexError, ParameterError
 from kinedex.ops.wording import counted
+from kinedex.pipelines.engine.display import Progress
 from kinedex.pipelines.inertial.limb_motion import LimbMotion, stored_limbs
 from kinedex.pipelines.inertial.limb_sources import limb_tasks, read_limbs, with_stored_body
 from kinedex.pipelines.simulation.imu_files import CLOCKLESS, WRITERS, readme
@@ -137,8 +137,6 @@ RECORDINGS = "recordings"
 README, DATASET, SENSORS = "README.md", "dataset.yaml", "sensors.yaml"
 SEGMENTS, WINDOWS, TRUTH = "segments.csv", "windows.csv", "truth/sensors.csv"
 """The files of a data set beside this folder."""
-
-Progress = Callable[[str, int], AbstractContextManager[Any]]
 
 
 @dataclass(frozen=True)

@@ -3,33 +3,30 @@
 from __future__ import annotations
 
 import itertools
-import json
 import os
 import re
 import shutil
 import uuid
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
-import pyarrow as pa
-import pyarrow.parquet as pq
+import yaml
 
-from kinedex.catalog.keypoint_sets import KeypointSet
-from kinedex.catalog.kinematics import load_kinematic_chain, load_surface
-from kinedex.ops.body.capsules import body_capsules
-from kinedex.ops.body.kinematic_chain import vector_of
-from kinedex.ops.body.pose_fit import measured_body
 from kinedex.ops.errors import KinedexError
-from kinedex.ops.simulation.cameras import CameraRing
-from kinedex.ops.simulation.recording import SimulatedRecording
-from kinedex.ops.tracking.body_mask import render_mask
-from kinedex.ops.tracking.views import camera_view
+from kinedex.pipelines.engine.display import Progress
 from kinedex.storage.disk import TEMPORARY
 from kinedex.storage.formats.labels.formats import file_names
+from kinedex.storage.snapshot.parts import joint_positions
 from kinedex.storage.store.store import Store
+
+F64 = npt.NDArray[np.float64]
+
+RECORDINGS, TRUTH = "recordings.yaml", "truth"
+"""The file that lists the recordings of a folder, and the folder of their true motion."""
 
 _FORBIDDEN = re.compile(r"[^\w.+-]")
 _MOST_LETTERS = 90
@@ -132,117 +129,56 @@ def _free_name(folder: Path) -> Path:
 
 F64 = npt.NDArray[np.float64]
 
-MASK_PART = 2
-"""The factor by which masks are smaller than the images, if it divides width and height."""
 
-
-def camera_names(count: int) -> list[str]:
-    """Return the names of the cameras: cam1, cam2, …"""
-    return [f"cam{number + 1}" for number in range(count)]
-
-
-def write_calibration(path: Path, ring: CameraRing, made: SimulatedRecording) -> None:
-    """Write the cameras in the TOML format of AniPose and Pose2Sim: rotation vectors, lengths in metres."""
-    lines = []
-    for name, rotation, translation in zip(camera_names(ring.count), made.rotations, made.translations, strict=True):
-        vector = vector_of(np.ascontiguousarray(rotation))
-        lines += [
-            f"[{name}]",
-            f'name = "{name}"',
-            f"size = [{ring.size[0]}, {ring.size[1]}]",
-            f"matrix = {ring.matrix.tolist()}",
-            "distortions = [0.0, 0.0, 0.0, 0.0]",
-            f"rotation = {vector.tolist()}",
-            f"translation = {translation.tolist()}",
-            "",
-        ]
-    path.write_bytes("\n".join(lines).encode())
-
-
-def write_keypoints(home: Path, keypoints: KeypointSet, made: SimulatedRecording, form: str) -> str:
-    """Write the keypoints of a recording.
+def write_recordings(
+    folder: Path,
+    takes: Sequence[str],
+    head: str,
+    progress: Progress,
+    record: Callable[[Path, str, str], dict[str, Any]],
+) -> dict[str, str]:
+    """Write a recording of each take and the file that lists them into a new folder.
 
     Parameters
     ----------
-    home : Path
-        The folder of the recording.
-    keypoints : KeypointSet
-        The names of the P keypoints.
-    made : SimulatedRecording
-        The recording.
-    form : str
-        The format: parquet, one table; or openpose, a JSON file for each frame in a folder for each camera.
+    folder : Path
+        The folder, which appears only when it is complete.
+    takes : sequence of str
+        The names of the takes.
+    head : str
+        The comment lines at the begin of `recordings.yaml`.
+    progress : callable
+        Shows progress.
+    record : callable
+        Writes the files of a recording, given the unfinished folder, the name of the recording and the take; returns
+        its entry in `recordings.yaml`.
 
     Returns
     -------
-    str
-        The path of the files, as written in the recordings file.
+    dict of str to str
+        Name of each recording → the take that it shows.
+
+    Raises
+    ------
+    KinedexError
+        The folder cannot be written, or `record` fails; nothing was written.
     """
-    names = camera_names(made.pixels.shape[1])
-    if form == "openpose":
-        for v, name in enumerate(names):
-            (home / "keypoints" / name).mkdir(parents=True)
-            for t in range(len(made.pixels)):
-                path = home / "keypoints" / name / f"{name}_{t:06d}_keypoints.json"
-                path.write_bytes(_openpose(made.pixels[t, v], made.confidence[t, v]).encode())
-        return f"{home.name}/keypoints/{{camera}}/*.json"
-    frames, cameras, points = made.confidence.shape
-    t, v, p = (axis.ravel() for axis in np.indices((frames, cameras, points)))
-    table = pa.table(
-        {
-            "camera": pa.DictionaryArray.from_arrays(pa.array(v, pa.int32()), pa.array(names)),
-            "frame": pa.array(t, pa.int32()),
-            "keypoint": pa.DictionaryArray.from_arrays(pa.array(p, pa.int32()), pa.array(list(keypoints.order))),
-            "x": pa.array(made.pixels[..., 0].ravel(), pa.float32()),
-            "y": pa.array(made.pixels[..., 1].ravel(), pa.float32()),
-            "confidence": pa.array(made.confidence.ravel(), pa.float32()),
-        }
-    )
-    pq.write_table(table, home / "keypoints.parquet", compression="zstd")
-    return f"{home.name}/keypoints.parquet"
+    shown = dict(zip(recording_names(takes), takes, strict=True))
+    entries: dict[str, dict[str, Any]] = {}
+    with new_folder(folder) as unfinished, progress("recordings", len(shown)) as bar:
+        (unfinished / TRUTH).mkdir()
+        for name, take in shown.items():
+            entries[name] = record(unfinished, name, take)
+            bar.advance(1)
+        text = yaml.safe_dump({"recordings": entries}, sort_keys=False, allow_unicode=True, width=200)
+        (unfinished / RECORDINGS).write_bytes((head + text).encode())
+    return shown
 
 
-def _openpose(pixels: F64, confidence: F64) -> str:
-    """Return the JSON of a frame of a camera; it has no person if no keypoint is seen."""
-    rows = np.round(np.concatenate([pixels, confidence[:, None]], axis=1), 4)
-    person = {"person_id": [-1], "pose_keypoints_2d": rows.ravel().tolist()}
-    return json.dumps({"version": 1.3, "people": [person] if confidence.any() else []}) + "\n"
-
-
-def write_masks(home: Path, ring: CameraRing, made: SimulatedRecording, positions: F64) -> str:
-    """Write a mask for each frame and camera, except for frames in which a camera is blank.
-
-    Parameters
-    ----------
-    home : Path
-        The folder of the recording.
-    ring : CameraRing
-        The cameras.
-    made : SimulatedRecording
-        The recording.
-    positions : float64 array (J, 3, T)
-        The joints of the chain in metres.
-
-    Returns
-    -------
-    str
-        The path of the files, as written in the recordings file.
-    """
-    from PIL import Image
-
-    body = measured_body(load_kinematic_chain(), positions)
-    capsules = body_capsules(body, load_surface())
-    part = MASK_PART if not any(side % MASK_PART for side in ring.size) else 1
-    width, height = (side // part for side in ring.size)
-    blank = np.zeros(made.confidence.shape[:2], bool)
-    for one in made.failures:
-        if one.kind == "views":
-            blank[one.start : one.stop, list(one.cameras)] = True
-    for v, name in enumerate(camera_names(ring.count)):
-        (home / "masks" / name).mkdir(parents=True)
-        view = camera_view(ring.matrix, made.rotations[v], made.translations[v], (), ring.size, (width, height))
-        for t in np.flatnonzero(~blank[:, v]).tolist():
-            mask = render_mask(capsules, np.ascontiguousarray(positions[:, :, t]), view)
-            image = Image.fromarray(np.where(mask, 255, 0).astype(np.uint8), mode="L")
-            image.save(home / "masks" / name / f"{name}_{t:06d}.png", optimize=False, compress_level=6)
-    return f"{home.name}/masks/{{camera}}/*.png"
+def filmed_joints(store: Store, take: str, joints: Sequence[str]) -> F64:
+    """Return the positions (J, 3, T) of joints in a take; raise a KinedexError if the store lacks one of them."""
+    table = store.frames(take).combine_chunks()
+    unknown = [joint for joint in joints if joint not in table.column_names]
+    if unknown:
+        raise KinedexError(f"the store has no joint '{unknown[0]}', which a body before cameras needs")
+    return np.ascontiguousarray(joint_positions(table, joints), np.float64)

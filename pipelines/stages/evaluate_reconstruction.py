@@ -5,8 +5,6 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any, ClassVar
 
-import pyarrow as pa
-import pyarrow.compute as pc
 from pydantic import BaseModel, ConfigDict, Field
 
 from kinedex.catalog.depth_recordings import DepthRecordingsFile, load_depth_recordings
@@ -24,7 +22,6 @@ from kinedex.pipelines.reconstruction.reconstruction_errors import (
 )
 from kinedex.pipelines.recordings.runs import earlier_rows
 from kinedex.storage.formats.depth.recording import recording_truth
-from kinedex.storage.snapshot.schemas import result_schema
 from kinedex.storage.store.store import Store
 
 
@@ -74,10 +71,7 @@ class EvaluateReconstruction(Stage[Params]):
         found: list[Comparison] = []
         without = []
         for row in earlier_rows(store, "reconstructions", stage):
-            parts = [part for part in store.manifest.results["reconstruction_frames"] if part.stage == stage]
-            pieces = store.result_pieces("reconstruction_frames", parts)
-            own = [piece.filter(pc.equal(piece.column("take_id"), row["take_id"])) for piece in pieces]
-            frames = pa.concat_tables([result_schema("reconstruction_frames").empty_table(), *own])
+            frames = store.rows_of("reconstruction_frames", stage, "take_id", [int(str(row["take_id"]))])
             file = _file_of(row)
             known = None if file is None else compare(store, stored_reconstruction(row, frames), file, params.truth)
             if known is None:

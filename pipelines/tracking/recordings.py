@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import hashlib
 import json
-from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -19,7 +18,7 @@ from kinedex.catalog.configs import config_path
 from kinedex.catalog.keypoint_sets import load_keypoint_set
 from kinedex.catalog.recordings import CameraRecording, RecordingsFile, load_recordings
 from kinedex.ops.errors import KinedexError, did_you_mean
-from kinedex.pipelines.recordings.recorded_takes import Provenance
+from kinedex.pipelines.recordings.recorded_takes import Provenance, stamp_of
 from kinedex.storage.formats.cameras.recording import Recording, RecordingCounts, read_recording, recording_files
 from kinedex.storage.formats.motion.sources import checksum
 from kinedex.storage.snapshot.schemas import result_schema
@@ -36,7 +35,7 @@ def named_files(file: RecordingsFile, name: str) -> list[tuple[str, Path]]:
     ConfigError
         A key does not name a file.
     """
-    given = file.recording(name)
+    given = file.entry(name)
     found = [("recordings", Path(file.located.path))]
     for kind in ("cameras", "keypoints", "silhouettes"):
         if getattr(given, kind) is not None:
@@ -50,14 +49,7 @@ def named_files(file: RecordingsFile, name: str) -> list[tuple[str, Path]]:
 
 def files_stamp(file: RecordingsFile, name: str) -> str:
     """Return a hash of the settings of a recording, and of its files by path, size and time."""
-    hasher = hashlib.sha256(repr((name, file.recording(name).model_dump(mode="json"))).encode())
-    for kind, path in named_files(file, name)[1:]:
-        try:
-            found = path.stat()
-        except OSError as fault:
-            raise KinedexError(f"{path}: cannot be read: {fault.strerror}") from None
-        hasher.update(repr((kind, str(path), found.st_size, found.st_mtime_ns)).encode())
-    return hasher.hexdigest()[:32]
+    return stamp_of((name, file.entry(name).model_dump(mode="json")), named_files(file, name)[1:])
 
 
 @dataclass(frozen=True, eq=False)
@@ -178,7 +170,7 @@ def read_named(file: RecordingsFile, name: str, code: str) -> ReadRecording:
         A file or a setting is invalid.
     """
     stamp = recording_fingerprint(file, name, code)
-    given = file.recording(name)
+    given = file.entry(name)
     files = tuple((kind, path, path.stat().st_size, checksum(path)) for kind, path in named_files(file, name))
     recording = None if given.track is not None else read_recording(file, name)
     return ReadRecording(given, Path(file.located.path).absolute(), recording, files, name, stamp)
@@ -285,13 +277,7 @@ def stored_recording(store: Store, name: str, stage: str | None = None) -> Store
 
 
 def _rows(store: Store, kind: str, row: dict[str, Any]) -> pa.Table:
-    parts = [part for part in store.manifest.results.get(kind, ()) if part.stage == row["stage"]]
-
-    def own() -> Iterator[pa.Table]:
-        for rows in store.result_pieces(kind, parts):
-            yield rows.filter(pc.equal(rows.column("recording"), row["recording"]))
-
-    return pa.concat_tables([result_schema(kind).empty_table(), *own()])
+    return store.rows_of(kind, row["stage"], "recording", [row["recording"]])
 
 
 def _observed(rows: pa.Table, row: dict[str, Any], shape: tuple[int, int, int]) -> tuple[F64, F64]:

@@ -9,7 +9,6 @@ from pathlib import Path
 from typing import Any
 
 import pyarrow as pa
-import pyarrow.compute as pc
 
 from kinedex.catalog.classes import load_classes
 from kinedex.catalog.recordings import load_recordings
@@ -50,7 +49,6 @@ from kinedex.pipelines.tracking.recordings import (
 from kinedex.pipelines.tracking.tracked_takes import TRACKED, stabilised_name
 from kinedex.pipelines.tracking.work import StabiliseTask, TrackTask, stabilise_take, track_recording, tracked_row
 from kinedex.storage.lock import NO_WAIT, Wait
-from kinedex.storage.snapshot.schemas import result_schema
 from kinedex.storage.store.store import Store, open_store
 from kinedex.storage.store.writer import StoreWriter
 
@@ -71,7 +69,7 @@ def observe(writer: StoreWriter, params: ObserveParameters, place: Place) -> Out
     file = load_recordings(params.recordings)
     names = params.only or list(file.recordings)
     for name in names:
-        file.recording(name)
+        file.entry(name)
     before = place.reusable(writer.store, "recordings", "recording")
     done = Outcome(names)
     for name in names:
@@ -392,16 +390,9 @@ def explanations(store: Store, takes: Sequence[str]) -> list[Explanation]:
     found = []
     for take in takes:
         name = stabilised_name(take)
-        rows = {kind: _rows(store, kind, name) for kind in ("tracks", "priors", "track_frames")}
+        rows = {kind: store.rows_of(kind, STAGE, "take", [name]) for kind in ("tracks", "priors", "track_frames")}
         moved = [sum(one) / len(one) for one in rows["track_frames"].column("moved_mm").to_pylist() if one]
         priors = rows["priors"].drop_columns(["run", "take_id", "take"])
         row = rows["tracks"].to_pylist()[0]
         found.append(Explanation(take, name, priors, row, sum(moved) / len(moved) if moved else 0.0))
     return found
-
-
-def _rows(store: Store, kind: str, take: str) -> pa.Table:
-    """Return the rows of a take in the results that the command and the shipped pipeline share."""
-    parts = [part for part in store.manifest.results.get(kind, ()) if part.stage == STAGE]
-    tables = [one.filter(pc.equal(one.column("take"), take)) for one in store.result_pieces(kind, parts)]
-    return pa.concat_tables([result_schema(kind).empty_table(), *tables])

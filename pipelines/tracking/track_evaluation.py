@@ -153,10 +153,7 @@ def metrics_table(rows: Sequence[dict[str, Any]], run: str) -> pa.Table:
 
 def poses_of(store: Store, stage: str, take_id: int) -> pa.Table:
     """Return the rows of `chain_poses` that a stage has stored for a take."""
-    parts = [part for part in store.manifest.results.get("chain_poses", ()) if part.stage == stage]
-    pieces = store.result_pieces("chain_poses", parts)
-    own = (rows.filter(pc.equal(rows.column("take_id"), take_id)) for rows in pieces)
-    found = pa.concat_tables([result_schema("chain_poses").empty_table(), *own])
+    found = store.rows_of("chain_poses", stage, "take_id", [take_id])
     return found.take(pc.sort_indices(found, [("source_frame", "ascending")]))
 
 

@@ -31,7 +31,7 @@ class RowGroups:
 
     def __init__(self, store: Snapshot, kind: str, stage: str, column: str) -> None:
         self._store, self._kind, self._column = store, kind, column
-        self._parts = [part for part in store.manifest.results.get(kind, ()) if part.stage == stage]
+        self._parts = store.stage_parts(kind, stage)
         self._places: dict[Hashable, list[tuple[int, int]]] = {}
         self._last: tuple[tuple[int, int], pa.Table] | None = None
         self._known_ranges: dict[tuple[int, str], list[tuple[str | None, str | None]]] = {}

@@ -265,6 +265,32 @@ class Snapshot:
                 tables.append(_with_origin(rows, origin_of(self.manifest, kind, part)))
         return pa.concat_tables(tables)
 
+    def stage_parts(self, kind: str, stage: str) -> list[ResultPart]:
+        """Return the parts of a kind of results that a stage, "<pipeline>/<stage>", has written."""
+        return [part for part in self.manifest.results.get(kind, ()) if part.stage == stage]
+
+    def rows_of(self, kind: str, stage: str, column: str, values: Iterable[int | str]) -> pa.Table:
+        """Return the rows of a kind of results that a stage has of some takes or recordings, piece by piece read.
+
+        Parameters
+        ----------
+        kind : str
+            One of `storage.snapshot.schemas.RESULT_KINDS`.
+        stage : str
+            The stage, "<pipeline>/<stage>".
+        column : str
+            The column that names the take or the recording of a row.
+        values : iterable of int or str
+            Those of them whose rows are returned.
+        """
+        import pyarrow.compute as pc  # here, because most commands filter no rows
+
+        schema = result_schema(kind)
+        wanted = pa.array(list(values), schema.field(column).type)
+        pieces = self.result_pieces(kind, self.stage_parts(kind, stage))
+        own = (rows.filter(pc.is_in(rows.column(column), wanted)) for rows in pieces)
+        return pa.concat_tables([schema.empty_table(), *own])
+
     def result_pieces(
         self, kind: str, parts: Iterable[ResultPart], columns: Sequence[str] | None = None
     ) -> Iterator[pa.Table]:

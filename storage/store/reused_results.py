@@ -106,9 +106,7 @@ def stored_fingerprints(store: Snapshot, kind: str, stage: str, column: str = "t
     found: dict[int | str, str] = {}
     columns = [column, "fingerprint"]
     try:
-        for rows in store.result_pieces(
-            kind, [part for part in store.manifest.results.get(kind, ()) if part.stage == stage], columns
-        ):
+        for rows in store.result_pieces(kind, store.stage_parts(kind, stage), columns):
             pairs = rows.group_by(columns).aggregate([])
             names, prints = (pairs.column(name).to_pylist() for name in columns)
             found |= {name: one for name, one in zip(names, prints, strict=True) if one is not None}

@@ -14,12 +14,12 @@ GOOD = "recordings:\n  a: {cameras: c.toml, keypoints: 'p/{camera}/*.json', rate
 
 
 def test_a_recording_has_defaults() -> None:
-    found = parse_recordings(parse_yaml(GOOD % ", person: 3, offsets: {x: -2}", "/tmp/r.yaml")).recording("a")
+    found = parse_recordings(parse_yaml(GOOD % ", person: 3, offsets: {x: -2}", "/tmp/r.yaml")).entry("a")
     assert (found.person, found.body, found.up, found.cuts, found.offsets) == ("3", "estimate", None, [], {"x": -2})
 
 
 def test_a_track_of_the_store_needs_nothing_else() -> None:
-    assert parse_recordings(parse_yaml("recordings: {a: {track: bad_01}}", "r.yaml")).recording("a").track == "bad_01"
+    assert parse_recordings(parse_yaml("recordings: {a: {track: bad_01}}", "r.yaml")).entry("a").track == "bad_01"
 
 
 @pytest.mark.parametrize(
@@ -49,7 +49,7 @@ def test_wrong_files_are_refused_with_line_and_key(text: str, message: str) -> N
 
 def test_a_name_that_is_not_there_is_refused_with_the_nearest() -> None:
     with pytest.raises(ConfigError, match="no recording is called 'b'; known: a"):
-        parse_recordings(parse_yaml(GOOD % "", "r.yaml")).recording("b")
+        parse_recordings(parse_yaml(GOOD % "", "r.yaml")).entry("b")
 
 
 def test_a_path_to_something_else_is_refused_with_what_is_expected(tmp_path: Path) -> None:

@@ -184,7 +184,7 @@ class _Entry:
     @classmethod
     def of(cls, file: RecordingsFile, name: str) -> _Entry:
         """Return an entry after reading its calibration."""
-        given = file.recording(name)
+        given = file.entry(name)
         if given.cameras is None or given.rate_hz is None:
             raise file.error(name, "track", "is a 3D track of the store, which has no cameras to be read")
         calibration = _calibration(file, name, given)
@@ -261,7 +261,7 @@ def recording_files(file: RecordingsFile, name: str, key: str) -> CameraFiles:
     ConfigError
         The key names no file, or a calibration several; the message names the key and its line.
     """
-    pattern = str(getattr(file.recording(name), key))
+    pattern = str(getattr(file.entry(name), key))
     try:
         found = find_files(file.folder, pattern, _ENDINGS[key], Path(file.located.path))
     except SourceError as fault:
