@@ -8,9 +8,8 @@ from dataclasses import dataclass, replace
 import numba as nb
 import numpy as np
 
-from kinedex.ops.arrays import F64, I64, U8
+from kinedex.ops.arrays import F64, I64, U8, Array
 from kinedex.ops.templates.pairs import (
-    Columns,
     Paths,
     Stack,
     Weighted,
@@ -38,7 +37,7 @@ class Soft:
 
     feature_weights: F64
 
-    def start(self, words: U64) -> Columns:
+    def start(self, words: U64) -> Array:
         """Return the columns of a single clip."""
         return bits(words, len(self.feature_weights)).astype(np.float64)
 
@@ -54,12 +53,12 @@ class Soft:
         costs, counts, steps = align_pairs(columns, None, total, stack.weights, stack.offsets, pairs, offsets)
         return compact(costs, counts, steps, offsets)
 
-    def _counts_bits(self, columns: Columns) -> bool:
+    def _counts_bits(self, columns: Array) -> bool:
         """Return True if costs are exact counts of features: columns of 0 and 1, and weights of 0 and 1."""
         plain = np.isin(self.feature_weights, (0, 1)).all() and ((columns == 0) | (columns == 1)).all()
         return bool(plain)
 
-    def _as_hard(self, columns: Columns) -> Columns:
+    def _as_hard(self, columns: Array) -> Array:
         """Convert columns of 0 and 1 to columns of hard templates."""
         return Hard(self.feature_weights).start(pack(columns.astype(np.uint8)))
 
@@ -88,11 +87,11 @@ class Soft:
         )  # fmt: skip
         return Weighted(total / weights[:, None], weights / (len(stack) - 1 + stands_for))
 
-    def merge(self, left: Columns, right: Columns, left_weight: float, right_weight: float) -> Columns:
+    def merge(self, left: Array, right: Array, left_weight: float, right_weight: float) -> Array:
         """Return the merged column of two neighbours."""
         return (left * left_weight + right * right_weight) / (left_weight + right_weight)
 
-    def values(self, columns: Columns) -> F64:
+    def values(self, columns: Array) -> F64:
         """Return the columns as values, float64 (N, f)."""
         return columns.astype(np.float64)
 
@@ -112,7 +111,7 @@ class Hard:
 
     feature_weights: F64
 
-    def start(self, words: U64) -> Columns:
+    def start(self, words: U64) -> Array:
         """Return the columns of a single clip."""
         every = np.uint64((1 << len(self.feature_weights)) - 1)
         return np.stack([words, ~words & every], axis=1)
@@ -138,11 +137,11 @@ class Hard:
         )  # fmt: skip
         return Weighted(columns, weights / (len(stack) - 1 + stands_for))
 
-    def merge(self, left: Columns, right: Columns, left_weight: float, right_weight: float) -> Columns:
+    def merge(self, left: Array, right: Array, left_weight: float, right_weight: float) -> Array:
         """Return the merged column of two neighbours."""
         return left & right
 
-    def values(self, columns: Columns) -> F64:
+    def values(self, columns: Array) -> F64:
         """Return the columns as values, float64 (N, f): 0, 0.5 and 1."""
         count = len(self.feature_weights)
         ones, zeros = bits(columns[:, 0], count), bits(columns[:, 1], count)
@@ -179,7 +178,7 @@ def average_all(method: Method, stack: Stack, paths: Paths, pairs: I64, referenc
     return [rebalance(method.average(stack, i, paths, places[i]), method.merge) for i in references.tolist()]
 
 
-def rebalance(template: Weighted, merge: Callable[[Columns, Columns, float, float], Columns]) -> Weighted:
+def rebalance(template: Weighted, merge: Callable[[Array, Array, float, float], Array]) -> Weighted:
     """Restore column weights to about 1 by expanding, contracting, and expanding (diploma thesis, Eq. 3.5).
 
     A column of weight w ≥ 1.5 becomes round(w) columns of weight w / round(w), rounding half to even. Then, from the
@@ -200,8 +199,8 @@ def _expand(template: Weighted) -> Weighted:
     return Weighted(np.repeat(template.columns, copies, axis=0), np.repeat(template.weights / copies, copies))
 
 
-def _contract(template: Weighted, merge: Callable[[Columns, Columns, float, float], Columns]) -> Weighted:
-    columns: list[Columns] = list(template.columns)
+def _contract(template: Weighted, merge: Callable[[Array, Array, float, float], Array]) -> Weighted:
+    columns: list[Array] = list(template.columns)
     weights: list[float] = template.weights.tolist()
     place = 0
     while place < len(weights) and len(weights) > 1:
@@ -232,7 +231,7 @@ def share_out(weights: F64, steps: U8, shares: F64) -> None:
 
 @nb.njit(cache=True, nogil=True)
 def add_others(
-    total: F64 | None, agreed: U64 | None, weights: F64, columns: Columns, column_weights: F64, offsets: I64,
+    total: F64 | None, agreed: U64 | None, weights: F64, columns: Array, column_weights: F64, offsets: I64,
     reference: int, steps: U8, starts: I64, counts: I64, pair_of: I64,
 ) -> None:  # fmt: skip
     """Add all other templates, warped, to a soft reference's weighted sums or a hard one's agreement (kernel).
