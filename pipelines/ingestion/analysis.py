@@ -15,6 +15,7 @@ from kinedex.catalog.quality_figures import FIGURES
 from kinedex.ops.body import features
 from kinedex.ops.body.plausibility import Plausibility, plausibility
 from kinedex.ops.body.resample import feature_rate, resample
+from kinedex.ops.intervals import in_seconds
 from kinedex.ops.words import NO_WORD
 from kinedex.storage.formats.motion.reader import Body
 from kinedex.storage.snapshot.schemas import TakeColumn, column_problem
@@ -157,7 +158,7 @@ def body_row(
         "source_frames": body.frames,
         "rate_hz": rate_hz,
         "frames": len(words),
-        "seconds": body.frames / body.rate_hz,
+        "seconds": in_seconds(body.frames, body.rate_hz),
         "invalid_frames": int(np.count_nonzero(words == NO_WORD)),
         "warnings": [*body.warnings, *blind(feature_set, body), *doubts],
         "known": None if known == feature_set.every_bit else known,

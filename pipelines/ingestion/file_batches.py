@@ -13,8 +13,6 @@ import numpy.typing as npt
 from kinedex.catalog.features import FeatureSet
 from kinedex.catalog.skeletons.mappings import Mappings
 from kinedex.ops.errors import SourceError, StoreError
-from kinedex.ops.intervals import in_seconds
-from kinedex.ops.words import NO_WORD
 from kinedex.pipelines.ingestion.analysis import analyse, body_row
 from kinedex.pipelines.ingestion.described_takes import group_values
 from kinedex.pipelines.ingestion.failures import Failure, failure
@@ -208,13 +206,6 @@ def _take_row(batch: Batch, task: Task, content: str, body: Body, words: npt.NDA
             "format": task.motion.format,
             "skeleton_source": task.skeleton.path if task.skeleton is not None else None,
             "recipe": task.recipe,
-            "unit": body.unit,
-            "source_rate_hz": body.rate_hz,
-            "source_frames": body.frames,
-            "rate_hz": batch.rate_hz,
-            "frames": len(words),
-            "seconds": in_seconds(body.frames, body.rate_hz),
-            "invalid_frames": int(np.count_nonzero(words == NO_WORD)),
             **group_values(task.groups),
             "warnings": [*task.warnings, *judged["warnings"]],
             **({"person": task.person, "persons": task.persons} if task.persons > 1 else {}),

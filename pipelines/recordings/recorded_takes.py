@@ -12,11 +12,8 @@ import pyarrow as pa
 
 from kinedex.catalog.features import FeatureSet
 from kinedex.ops.errors import KinedexError
-from kinedex.ops.intervals import in_seconds
-from kinedex.ops.words import NO_WORD
 from kinedex.pipelines.ingestion.analysis import (
     analyse,
-    blind,
     body_row,
     declarable_figures,
     stored_figures,
@@ -184,14 +181,6 @@ def _row(take: RecordedTake, take_id: int, judged: dict[str, Any]) -> dict[str, 
             "format": take.format,
             "skeleton_source": None,
             "recipe": take.recipe,
-            "unit": body.unit,
-            "source_rate_hz": body.rate_hz,
-            "source_frames": body.frames,
-            "rate_hz": rate_hz,
-            "frames": len(words),
-            "seconds": in_seconds(body.frames, body.rate_hz),
-            "invalid_frames": int(np.count_nonzero(words == NO_WORD)),
-            "warnings": [*body.warnings, *blind(features, body), *doubts],
             "recording": origin.recording,
             "cameras": list(origin.cameras),
         }
