@@ -127,9 +127,6 @@ def _free_name(folder: Path) -> Path:
     return folder.parent / f"{absolute.name}-{next(numbers)}"
 
 
-F64 = npt.NDArray[np.float64]
-
-
 def write_recordings(
     folder: Path,
     takes: Sequence[str],
