@@ -11,8 +11,7 @@ import numpy as np
 import numpy.typing as npt
 
 from kinedex.ops.wording import counted
-from kinedex.pipelines.inertial.sensor_tables import stored_clocks
-from kinedex.pipelines.inertial.worn_sensors import WornTakes
+from kinedex.pipelines.inertial.worn_sensors import WornTakes, stored_clocks
 from kinedex.reports.axes import Axis, time_axis
 from kinedex.reports.limb_error_data import (
     LimbErrors,

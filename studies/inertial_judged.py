@@ -13,8 +13,7 @@ from kinedex.ops.evaluation.metrics import Counts, pooled
 from kinedex.ops.evaluation.threshold_counts import threshold_counts
 from kinedex.pipelines.inertial.limb_error_curves import LimbCurve, take_errors
 from kinedex.pipelines.inertial.parameters import CalibrateParameters, LimbErrorsParameters, SynchroniseParameters
-from kinedex.pipelines.inertial.sensor_fits import FitTask, SensorFit, fit_together
-from kinedex.pipelines.inertial.sensor_tables import calibration_row
+from kinedex.pipelines.inertial.sensor_fits import FitTask, SensorFit, calibration_row, fit_together
 from kinedex.pipelines.inertial.synchronisation import synchronise
 from kinedex.pipelines.inertial.worn_sensors import Clock, WornTake
 from studies.inertial_trials import RECORDING, Trial

@@ -3,19 +3,17 @@
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Mapping
 from contextlib import suppress
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass
 from pathlib import Path
-
-import pyarrow as pa
 
 from kinedex.ops.errors import KinedexError
 from kinedex.pipelines.engine.config import Pipeline
 from kinedex.pipelines.labels.unmatched_labels import UnmatchedLabels
 from kinedex.storage.formats.motion.sources import checksum
 from kinedex.storage.lock import Wait
-from kinedex.storage.snapshot.schemas import result_schema
+from kinedex.storage.snapshot.schemas import result_table
 from kinedex.storage.store.store import Store, open_store
 from kinedex.storage.store.writer import StoreWriter
 
@@ -72,17 +70,10 @@ class SourceFiles:
     accepted: tuple[FailedFile, ...] = ()
 
 
-@dataclass(frozen=True)
-class SourceState:
-    """The source files of a pipeline at its last ingest: their paths, with content hashes, None for rejected files."""
-
-    files: dict[str, str | None] = field(default_factory=dict)
-
-
-def source_state(store: Store | None, pipeline: Pipeline) -> SourceState:
-    """Return the state of the source files of a pipeline at its last ingest."""
+def source_state(store: Store | None, pipeline: Pipeline) -> dict[str, str | None]:
+    """Return the source files of a pipeline at its last ingest, with hashes of contents; None for rejected files."""
     if store is None:
-        return SourceState()
+        return {}
     seen: dict[str, str | None] = {}
     for stage in (one for one in pipeline.stages if one.uses == "ingest"):
         for row in store.result("source_files", stage=f"{pipeline.name}/{stage.name}").to_pylist():
@@ -93,13 +84,13 @@ def source_state(store: Store | None, pipeline: Pipeline) -> SourceState:
             place = f"{row['source_root']}/{row['source']}"
             if place in seen:
                 seen[place] = row["checksum"]
-    return SourceState(seen)
+    return seen
 
 
 def source_files(
     store_path: Path,
     pipeline: Pipeline,
-    before: SourceState,
+    before: Mapping[str, str | None],
     unmatched: Iterable[UnmatchedLabels],
     *,
     remember: bool,
@@ -114,8 +105,8 @@ def source_files(
         The directory of the store, as the run has left it.
     pipeline : Pipeline
         The pipeline.
-    before : SourceState
-        Its source files before the run.
+    before : mapping of str to (str or None)
+        Its source files before the run, see `source_state`.
     unmatched : iterable of UnmatchedLabels
         The labels that match no take.
     remember : bool
@@ -126,18 +117,20 @@ def source_files(
         The time to wait for another writer.
     """
     store = open_store(store_path, at="newest")
-    then, now = before.files, source_state(store, pipeline).files
-    failures = tuple(dict.fromkeys([*_failed(store, pipeline), *map(_unmatched, unmatched)]))
-    known = _remembered(store, pipeline) if remember else frozenset[tuple[str, str, str]]()
+    stage, now = f"{pipeline.name}/{STAGE}", source_state(store, pipeline)
+    labels = (FailedFile(one.file, _checksum(one.file, *one.takes), "UnmatchedLabels", str(one)) for one in unmatched)
+    failures = tuple(dict.fromkeys([*_failed(store, pipeline), *labels]))
+    remembered = store.result(KIND, stage=stage).to_pylist() if remember else ()
+    known = {(row["file"], row["checksum"], row["error"]) for row in remembered}
     failed = tuple(one for one in failures if one.key not in known)
     if remember and (failed or len(known) > len(failures)):
         with StoreWriter.open(store_path, store.feature_set, store.rate_hz, wait) as writer:
-            writer.put_results(KIND, _table(failures), stage=f"{pipeline.name}/{STAGE}", run=run)
+            writer.put_results(KIND, result_table(KIND, map(asdict, failures), run), stage=stage, run=run)
             writer.commit()
     return SourceFiles(
-        tuple(sorted(now.keys() - then.keys())),
-        tuple(sorted(file for file in now.keys() & then.keys() if now[file] != then[file])),
-        tuple(sorted(then.keys() - now.keys())),
+        tuple(sorted(now.keys() - before.keys())),
+        tuple(sorted(file for file in now.keys() & before.keys() if now[file] != before[file])),
+        tuple(sorted(before.keys() - now.keys())),
         failed,
         tuple(one for one in failures if one.key in known),
     )
@@ -152,10 +145,6 @@ def _failed(store: Store, pipeline: Pipeline) -> Iterator[FailedFile]:
             yield FailedFile(file, _checksum(file, row["file"]), row["error"], row["message"])
 
 
-def _unmatched(one: UnmatchedLabels) -> FailedFile:
-    return FailedFile(one.file, _checksum(one.file, *one.takes), "UnmatchedLabels", str(one))
-
-
 def _checksum(file: str, *more: str) -> str:
     """Return the hash of a file, combined with that of further files or names if any are given."""
     parts = [_content(file), *(_content(one) or one for one in more if one != file)]
@@ -166,14 +155,3 @@ def _content(file: str) -> str:
     with suppress(KinedexError, ValueError):  # the file no longer exists, or its name is not a valid path
         return checksum(Path(file))
     return ""
-
-
-def _remembered(store: Store, pipeline: Pipeline) -> frozenset[tuple[str, str, str]]:
-    rows = store.result(KIND, stage=f"{pipeline.name}/{STAGE}").to_pylist()
-    return frozenset((row["file"], row["checksum"], row["error"]) for row in rows)
-
-
-def _table(failures: Iterable[FailedFile]) -> pa.Table:
-    schema = result_schema(KIND).remove(0)  # `run` is written by the store
-    rows = [{"file": one.file, "checksum": one.checksum, "error": one.error, "reason": one.reason} for one in failures]
-    return pa.Table.from_pylist(rows, schema=schema)

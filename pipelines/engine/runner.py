@@ -7,7 +7,7 @@ import logging
 import os
 import shlex
 import time
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
@@ -122,20 +122,60 @@ class _Run:
         return replace(self, wait=replace(self.wait, seconds=max(self.wait.seconds, COMMIT_SECONDS)))
 
 
+@dataclass(frozen=True)
+class RunOptions:
+    """The way in which a pipeline runs.
+
+    Attributes
+    ----------
+    executor : {"serial", "processes", "dask"}
+        The executor of tasks. A script that asks for processes must guard its start with
+        `if __name__ == "__main__":`, because every worker imports it.
+    workers : int, optional
+        The number of workers; all cores by default.
+    scheduler : str, optional
+        The address of a running Dask scheduler.
+    force : frozenset of str
+        Stages that run in any case.
+    wait_seconds : float, optional
+        The time to wait for another writer of the store; 0 fails at once. A run that has begun waits at least
+        `COMMIT_SECONDS` between its stages and to commit.
+    accept : bool, optional
+        True allows a stage to remove values from takes; by default it fails, and lists them.
+    known_failures : {"report", "remember"}, optional
+        "remember" keeps failures in the store, so that a later run reports only new ones; by default, the value of the
+        pipeline.
+    """
+
+    executor: str = "serial"
+    workers: int | None = None
+    scheduler: str | None = None
+    force: frozenset[str] = frozenset()
+    wait_seconds: float = 0.0
+    accept: bool = False
+    known_failures: KnownFailures | None = None
+
+    def command(self, name: str | Path, store_path: Path, assignments: Mapping[str, str]) -> str:
+        """Return the command that runs a pipeline with these options."""
+        words = ["kinedex", "run", str(name), "--store", str(store_path)]
+        for key, value in assignments.items():
+            words += ["--set", f"{key}={value}"]
+        words += ["--executor", self.executor] if self.executor != "processes" else []
+        words += ["--workers", str(self.workers)] if self.workers is not None else []
+        words += ["--scheduler", self.scheduler] if self.scheduler is not None else []
+        for stage in sorted(self.force):
+            words += ["--force", stage]
+        return shlex.join(words)
+
+
 def run_pipeline(
     name_or_path: str | Path,
     store_path: str | Path,
     *,
     settings: Mapping[str, Any] | None = None,
     assignments: Mapping[str, str] | None = None,
-    executor: str = "serial",
-    workers: int | None = None,
-    scheduler: str | None = None,
-    force: Iterable[str] = (),
-    wait_seconds: float = 0.0,
-    accept: bool = False,
-    known_failures: KnownFailures | None = None,
     terminal: Display | None = None,
+    **given: Any,
 ) -> Outcome:
     """Run the stages of a pipeline that have not been done yet.
 
@@ -150,25 +190,10 @@ def run_pipeline(
         "stage.name", such as `{"annotate.tau": 0.06}`. Where exactly one stage has a parameter, its name is enough.
     assignments : mapping of str to str, optional
         The texts of `--set` on the command line, in place of `settings`; error messages then refer to commands.
-    executor : {"serial", "processes", "dask"}
-        The executor of tasks. A script that asks for processes must guard its start with
-        `if __name__ == "__main__":`, because every worker imports it.
-    workers : int, optional
-        The number of workers; all cores by default.
-    scheduler : str, optional
-        The address of a running Dask scheduler.
-    force : iterable of str
-        Stages that run in any case.
-    wait_seconds : float, optional
-        The time to wait for another writer of the store; 0 fails at once. A run that has begun waits at least
-        `COMMIT_SECONDS` between its stages and to commit.
-    accept : bool, optional
-        True allows a stage to remove values from takes; by default it fails, and lists them.
-    known_failures : {"report", "remember"}, optional
-        "remember" keeps failures in the store, so that a later run reports only new ones; by default, the value of the
-        pipeline.
     terminal : Display, optional
         Shows messages, tables and progress; nothing is shown by default.
+    **given : object
+        The attributes of `RunOptions`.
 
     Returns
     -------
@@ -182,24 +207,22 @@ def run_pipeline(
     KinedexError
         The pipeline file, a setting or the store is not usable; nothing was changed.
     """
-    terminal = terminal or NoDisplay()
-    force = frozenset(force)
+    terminal, force = terminal or NoDisplay(), frozenset(given.get("force", ()))
+    options = RunOptions(**given | {"force": force})
     # the workers of a cluster may have been started in another folder
-    store_path = Path(store_path).resolve() if executor == "dask" else Path(store_path)
+    store_path = Path(store_path).resolve() if options.executor == "dask" else Path(store_path)
     loaded = load_pipeline(name_or_path, assignments, settings)
     planner = Planner(loaded, store_path, force)
     pipeline = planner.pipeline
     plan = make_plan(loaded, store_path, force)  # reports errors in files before any work is done
-    pool = make_executor(executor, workers, scheduler)
-    resume = None
-    if assignments is not None:
-        resume = _resume(name_or_path, store_path, assignments, executor, workers, scheduler, force)
+    pool = make_executor(options.executor, options.workers, options.scheduler)
+    resume = None if assignments is None else options.command(name_or_path, store_path, assignments)
     option = "wait_seconds=600" if resume is None else "--wait 10m"
-    wait = Wait(wait_seconds, terminal.say, option)
+    wait = Wait(options.wait_seconds, terminal.say, option)
     record = _pipeline_record(pipeline, assignments or settings or {})
     history = RunRecorder(store_path, pipeline, record)
-    run = _Run(pipeline, store_path, pool, terminal, resume, wait, record, history, accept)
-    remember = (known_failures or pipeline.known_failures) == "remember"
+    run = _Run(pipeline, store_path, pool, terminal, resume, wait, record, history, options.accept)
+    remember = (options.known_failures or pipeline.known_failures) == "remember"
     before = source_state(open_store(store_path, at="newest") if versions(store_path) else None, pipeline)
     steps: list[Step] = []
     try:
@@ -418,26 +441,6 @@ def _record(context: StageContext, step: Step, summary: Mapping[str, object], se
         run.history.done(step, record, writer.commit())
         # read it before the writer closes: after that, another run may remove the record
         return open_store(context.store_path, at="newest").manifest.stages[context.key()]
-
-
-def _resume(
-    name: str | Path,
-    store_path: Path,
-    assignments: Mapping[str, str] | None,
-    executor: str,
-    workers: int | None,
-    scheduler: str | None,
-    force: frozenset[str],
-) -> str:
-    words = ["kinedex", "run", str(name), "--store", str(store_path)]
-    for key, value in (assignments or {}).items():
-        words += ["--set", f"{key}={value}"]
-    words += ["--executor", executor] if executor != "processes" else []
-    words += ["--workers", str(workers)] if workers is not None else []
-    words += ["--scheduler", scheduler] if scheduler is not None else []
-    for stage in sorted(force):
-        words += ["--force", stage]
-    return shlex.join(words)
 
 
 def _outcome(run: _Run, steps: list[Step]) -> Outcome:

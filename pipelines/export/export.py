@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -80,12 +80,13 @@ def export_data_set(
         finished, rest = _finished(target, plan.jobs)
         target.begin(dict.fromkeys(job.clip.folder for job in plan.jobs))
         done = {id(one.job): one for one in finished}
+        jobs = {job.files: job for job in rest}  # workers return copies of them
         with progress("clips", len(rest)) as bar:
             batches = batches_of_jobs(store, folder, how, plan.mappings, rest)
             for results in executor.map(write_batch, batches):
                 for one in results:
                     target.add(one.files)
-                done |= {id(job): one for one, job in _matched(results, rest)}
+                done |= {id(jobs[one.job.files]): one for one in results}
                 bar.advance(len(results))
         every = [done[id(job)] for job in plan.jobs]
         written = [one for one in every if one.files]
@@ -97,12 +98,6 @@ def export_data_set(
         files = [file.file for one in written for file in one.files]
         target.finish(files, data_set_text(facts, rows, written), metadata_text(rows))
     return Exported(folder, rows, len(written) - len(finished), len(finished), excluded, plan.remarks)
-
-
-def _matched(results: Sequence[Done], rest: Sequence[Job]) -> Iterable[tuple[Done, Job]]:
-    """Return pairs of a worker's result and this process's job with the same files."""
-    jobs = {job.files: job for job in rest}
-    return ((one, jobs[one.job.files]) for one in results)
 
 
 def _finished(target: Folder, jobs: Sequence[Job]) -> tuple[list[Done], list[Job]]:

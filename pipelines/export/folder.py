@@ -166,7 +166,7 @@ def require_own(path: Path) -> None:
     if not path.is_dir():
         return
     others = sorted(name for name in os.listdir(path) if name not in (*_OWN, CLIPS, *SPLITS))
-    ours = (path / _JOURNAL).is_file() or _is_data_set(path)
+    ours = (path / _JOURNAL).is_file() or _content(path).get("format") == FORMAT
     if (others or os.listdir(path)) and not ours:
         shown = (others or sorted(os.listdir(path)))[0]
         raise KinedexError(
@@ -182,10 +182,6 @@ def written_by(path: Path) -> tuple[list[str], int]:
     """Return the files of the clips of a finished export, and the number of clips that could not be written."""
     excluded = _content(path).get("excluded")
     return [one.file for one in _of_data_set(path)], len(excluded) if isinstance(excluded, list) else 0
-
-
-def _is_data_set(path: Path) -> bool:
-    return _content(path).get("format") == FORMAT
 
 
 def _content(path: Path) -> Mapping[str, Any]:

@@ -66,11 +66,6 @@ class BrokenTake:
     labels: list[LimbLabel]
 
 
-def annotator_name(number: int) -> str:
-    """Return the name of a simulated annotator, "simulated A1" for number 0."""
-    return f"simulated A{number + 1}"
-
-
 def break_take(take: StoredLimbs, limbs: Iterable[str], noise_deg: float, annotators: int, seed: int) -> BrokenTake:
     """Put simulated errors into the limbs of a take.
 
@@ -112,7 +107,7 @@ def break_take(take: StoredLimbs, limbs: Iterable[str], noise_deg: float, annota
                 threshold = own_threshold(generator(seed, "annotator", str(number)))
                 random = generator(seed, "annotator", str(number), take.take, name)
                 runs = annotate(one.orientation, turned, rate_hz, threshold, random)
-                labels += [LimbLabel(take.take, name, *run, annotator_name(number)) for run in runs]
+                labels += [LimbLabel(take.take, name, *run, f"simulated A{number + 1}") for run in runs]
         direction = rotate(turned, axes[name]) if np.isfinite(axes[name]).all() else one.direction
         jump = one.jump | jumps(turned, rate_hz)
         broken[name] = replace(one, orientation=turned, direction=direction, jump=jump)

@@ -21,7 +21,7 @@ from kinedex.pipelines.inertial.limb_motion import LimbMotion
 from kinedex.pipelines.inertial.parameters import LimbErrorsParameters
 from kinedex.pipelines.inertial.worn_sensors import Clock, WornSensor, WornTake
 from kinedex.storage.snapshot.row_groups import RowGroups
-from kinedex.storage.snapshot.schemas import result_schema
+from kinedex.storage.snapshot.schemas import columns_table, result_schema
 from kinedex.storage.store.store import Store
 
 F64 = npt.NDArray[np.float64]
@@ -135,15 +135,16 @@ def take_errors(
                 left_out.append(f"{kept.limb}: where {first} and {second} both know a frame, the former judges it")
             curve = _filled(kept, filler)
         found[sensor.limb] = curve
-    left_out += [f"{_sensors(names)} of {one}: no clock or no mount" for one, names in lacking.items()]
+    for recording, names in lacking.items():
+        which = names[0] if len(names) == 1 else counted(len(names), "sensor")
+        left_out.append(f"{which} of {recording}: no clock or no mount")
     curves = tuple(found.values())
     tau = auto_tau((one.error, one.valid) for one in curves) if params.tau == "auto" else params.tau
     rules = RunRules(tau, params.low, params.gap_s, params.min_s)
-    return TakeErrors(curves, tau, {one.limb: _runs(one, rules) for one in curves}, left_out)
-
-
-def _sensors(names: list[str]) -> str:
-    return names[0] if len(names) == 1 else counted(len(names), "sensor")
+    limb_runs = {
+        one.limb: (runs(one.error, one.valid, one.rate_hz, rules), jump_runs(one.error, one.jump)) for one in curves
+    }
+    return TakeErrors(curves, tau, limb_runs, left_out)
 
 
 def _filled(one: LimbCurve, other: LimbCurve) -> LimbCurve:
@@ -151,10 +152,6 @@ def _filled(one: LimbCurve, other: LimbCurve) -> LimbCurve:
     lacks = other.valid & ~one.valid
     names = ("recording", "sensor", "degrees", "swing", "twist", "valid")
     return replace(one, **{name: np.where(lacks, getattr(other, name), getattr(one, name)) for name in names})
-
-
-def _runs(curve: LimbCurve, rules: RunRules) -> tuple[list[Run], list[Run]]:
-    return runs(curve.error, curve.valid, curve.rate_hz, rules), jump_runs(curve.error, curve.jump)
 
 
 def _curve(limb: LimbMotion, sensor: WornSensor, clock: Clock, row: Mapping[str, Any]) -> LimbCurve:
@@ -193,22 +190,22 @@ ERRORS, RUNS = "limb_errors", "limb_error_runs"
 
 def error_table(take_id: int, take: str, found: TakeErrors, run: str, fingerprint: str | None) -> pa.Table:
     """Return the rows of a take's errors, sorted by limb and frame."""
-    schema = result_schema(ERRORS)
     shared = {"run": run, "take_id": take_id, "take": take, "tau_deg": found.tau_deg, "fingerprint": fingerprint}
-    tables = [_curve_rows(one, shared, schema) for one in found.curves]
-    return pa.concat_tables(tables) if tables else schema.empty_table()
+    tables = [columns_table(ERRORS, _curve_columns(one), limb=one.limb, **shared) for one in found.curves]
+    return pa.concat_tables(tables) if tables else result_schema(ERRORS).empty_table()
 
 
-def _curve_rows(one: LimbCurve, shared: Mapping[str, object], schema: pa.Schema) -> pa.Table:
-    frames = len(one.times)
-    constants = {**shared, "limb": one.limb}
-    columns = {name: pa.repeat(pa.scalar(value, schema.field(name).type), frames) for name, value in constants.items()}
-    columns["recording"], columns["sensor"] = pa.array(one.recording.tolist()), pa.array(one.sensor.tolist())
-    columns["source_frame"] = pa.array(np.arange(frames, dtype=np.int32))
-    columns["t"], columns["valid"] = pa.array(one.times), pa.array(one.valid)
+def _curve_columns(one: LimbCurve) -> dict[str, pa.Array]:
+    columns = {
+        "recording": pa.array(one.recording.tolist()),
+        "sensor": pa.array(one.sensor.tolist()),
+        "source_frame": pa.array(np.arange(len(one.times), dtype=np.int32)),
+        "t": pa.array(one.times),
+        "valid": pa.array(one.valid),
+    }
     for name, values in (("degrees", one.degrees), ("swing_deg", one.swing), ("twist_deg", one.twist)):
         columns[name] = pa.array(values, mask=~np.isfinite(values))
-    return pa.table([columns[name] for name in schema.names], schema=schema)
+    return columns
 
 
 def run_rows(take_id: int, take: str, found: TakeErrors) -> Iterator[dict[str, Any]]:

@@ -86,17 +86,14 @@ class LimbCounts:
             above = threshold_counts(values, segments, self.taus)
             against_runs = compare(stored, segments)
             for whose in (annotator, ALL):
-                self._add_above(limb, whose, above, len(values))
+                for scope in _scopes(limb.limb):
+                    before = self.above.get((scope, whose), [Counts()] * len(above))
+                    self.above[scope, whose] = [a + b for a, b in zip(before, above, strict=True)]
+                    self._add_frames(scope, (SENSORS, whose), len(values), limb.take_id)
                 self._add_between(limb, (RUNS, whose), against_runs, len(values))
             for other, theirs in manual.items():
                 if other != annotator:
                     self._add_between(limb, (other, annotator), compare(theirs, segments), len(values))
-
-    def _add_above(self, limb: JudgedLimb, annotator: str, counts: list[Counts], frames: int) -> None:
-        for scope in _scopes(limb.limb):
-            before = self.above.get((scope, annotator), [Counts()] * len(counts))
-            self.above[scope, annotator] = [a + b for a, b in zip(before, counts, strict=True)]
-            self._add_frames(scope, (SENSORS, annotator), frames, limb.take_id)
 
     def _add_between(self, limb: JudgedLimb, pair: Pair, counts: Counts, frames: int) -> None:
         for scope in _scopes(limb.limb):

@@ -26,7 +26,7 @@ from kinedex.ops.inertial.limb_orientation import (
     unit_direction,
 )
 from kinedex.storage.formats.motion.segments import Segments
-from kinedex.storage.snapshot.schemas import result_schema
+from kinedex.storage.snapshot.schemas import columns_table, result_schema
 from kinedex.storage.store.store import Store
 
 F64 = npt.NDArray[np.float64]
@@ -216,9 +216,9 @@ def limb_table(
     take_id: int, take: str, limbs: Mapping[str, LimbMotion], run: str, fingerprint: str | None = None
 ) -> pa.Table:
     """Return the rows of a take's limbs, sorted by limb and frame."""
-    schema = result_schema(KIND)
-    tables = [_rows(take_id, take, one, run, fingerprint, schema) for one in limbs.values()]
-    return pa.concat_tables(tables) if tables else schema.empty_table()
+    shared = {"run": run, "take_id": take_id, "take": take, "fingerprint": fingerprint}
+    tables = [columns_table(KIND, _columns(one), limb=one.limb, basis=one.basis, **shared) for one in limbs.values()]
+    return pa.concat_tables(tables) if tables else result_schema(KIND).empty_table()
 
 
 def limb_pieces(rows: pa.Table) -> Iterator[pa.Table]:
@@ -266,31 +266,19 @@ def limb_figures(store: Store, stage: str) -> LimbFigures:
 _SUMS = [("take_id", "count"), ("jump", "sum")]
 
 
-def _rows(take_id: int, take: str, one: LimbMotion, run: str, fingerprint: str | None, schema: pa.Schema) -> pa.Table:
+def _columns(one: LimbMotion) -> dict[str, pa.Array]:
     frames = len(one.times)
-    columns = {
-        "run": pa.repeat(pa.scalar(run), frames),
-        "take_id": pa.repeat(pa.scalar(take_id, pa.int64()), frames),
-        "take": pa.repeat(pa.scalar(take), frames),
-        "limb": pa.repeat(pa.scalar(one.limb), frames),
+    fit_mm = np.full(frames, np.nan) if one.fit_m is None else 1000.0 * one.fit_m
+    return {
         "source_frame": pa.array(np.arange(frames, dtype=np.int32)),
         "t": pa.array(one.times),
         "orientation": struct_array(one.orientation, "wxyz"),
         "position": struct_array(one.position, "xyz"),
         "direction": struct_array(one.direction, "xyz"),
-        "basis": pa.repeat(pa.scalar(one.basis), frames),
         "valid": pa.array(one.valid),
         "jump": pa.array(one.jump),
-        "fit_mm": _millimetres(one.fit_m, frames),
-        "fingerprint": pa.repeat(pa.scalar(fingerprint, pa.string()), frames),
+        "fit_mm": pa.array(fit_mm, mask=~np.isfinite(fit_mm)),
     }
-    return pa.table([columns[name] for name in schema.names], schema=schema)
-
-
-def _millimetres(fit_m: F64 | None, frames: int) -> pa.Array:
-    if fit_m is None:
-        return pa.nulls(frames, pa.float64())
-    return pa.array(1000.0 * fit_m, mask=~np.isfinite(fit_m))
 
 
 def struct_array(rows: F64, axes: str) -> pa.Array:
@@ -324,7 +312,8 @@ def stored_limbs(store: Store, stage: str, takes: Iterable[str] | None = None) -
     waiting: list[pa.Table] = []
     for piece in store.result_pieces(KIND, parts):
         rows = piece if wanted is None else piece.filter(pc.is_in(piece.column("take"), wanted))
-        for own in _by_take(rows):
+        for start, stop in _runs(rows.column("take_id").to_numpy()):
+            own = rows.slice(start, stop - start)
             if waiting and _take_id(waiting[0]) != _take_id(own):
                 yield limbs_of_rows(pa.concat_tables(waiting))
                 waiting = []
@@ -335,13 +324,6 @@ def stored_limbs(store: Store, stage: str, takes: Iterable[str] | None = None) -
 
 def _take_id(rows: pa.Table) -> int:
     return int(rows.column("take_id")[0].as_py())
-
-
-def _by_take(rows: pa.Table) -> Iterator[pa.Table]:
-    """Divide consecutive rows by take."""
-    ids = rows.column("take_id").to_numpy()
-    for start, stop in _runs(ids):
-        yield rows.slice(start, stop - start)
 
 
 def _runs(values: npt.NDArray[np.int64]) -> list[tuple[int, int]]:

@@ -19,6 +19,7 @@ from kinedex.ops.errors import KinedexError, SourceError, did_you_mean
 from kinedex.ops.inertial.orientation_filter import estimate, estimate_calibrated
 from kinedex.ops.inertial.packages import MissingPackageError
 from kinedex.ops.inertial.rotations import interpolate
+from kinedex.pipelines.inertial.limb_motion import struct_array
 from kinedex.pipelines.inertial.parameters import ReadImuParameters
 from kinedex.pipelines.ingestion.failures import Failure
 from kinedex.storage.formats.imu.recording import (
@@ -30,7 +31,7 @@ from kinedex.storage.formats.imu.recording import (
     session_of,
 )
 from kinedex.storage.formats.motion.sources import readable
-from kinedex.storage.snapshot.schemas import result_schema
+from kinedex.storage.snapshot.schemas import columns_table, result_schema, result_table
 
 ENDINGS = (".txt", ".csv", ".tsv", ".parquet", ".h5", ".hdf5", ".mvnx")
 """The file extensions of sensor files."""
@@ -316,7 +317,7 @@ def read_rows(task: ReadTask) -> ReadRows:
         rows.append(_row(task, found, known, files[sensor.name], limbs[sensor.name], source))
         samples.append(_samples(task, known))
     tables = {
-        "imu_recordings": pa.Table.from_pylist(rows, schema=result_schema("imu_recordings")),
+        "imu_recordings": result_table("imu_recordings", rows, task.run),
         "imu_samples": pa.concat_tables(samples),
     }
     return ReadRows(recording, tables, tuple(failures))
@@ -404,7 +405,6 @@ def _row(
     if source in ("6D", "9D"):
         channels.remove("orientation")
     return {
-        "run": task.run,
         "take_id": task.recording.take_id,
         "take": task.recording.take,
         "recording": task.recording.name,
@@ -425,24 +425,9 @@ def _row(
 
 def _samples(task: ReadTask, sensor: ImuSensor) -> pa.Table:
     """Return the samples of a sensor as a table."""
-    count = len(sensor.times)
-    schema = result_schema("imu_samples")
-    columns = {
-        "run": pa.repeat(pa.scalar(task.run), count),
-        "recording": pa.repeat(pa.scalar(task.recording.name), count),
-        "sensor": pa.repeat(pa.scalar(sensor.name), count),
-        "sample": pa.array(np.arange(count)),
-        "t": pa.array(sensor.times),
-    }
+    schema, count = result_schema("imu_samples"), len(sensor.times)
+    columns = {"sample": pa.array(np.arange(count)), "t": pa.array(sensor.times)}
     for name in ("acc", "gyr", "mag", "orientation"):
-        columns[name] = structures(getattr(sensor, name), schema.field(name).type, count)
-    return pa.table([columns[name].cast(schema.field(name).type) for name in schema.names], schema=schema)
-
-
-def structures(values: F64 | None, kind: pa.StructType, count: int) -> pa.Array:
-    """Return an array (T, n) as structures; rows with a NaN are null, and so are all rows if `values` is None."""
-    if values is None:
-        return pa.nulls(count, kind)
-    missing = ~np.isfinite(values).all(axis=1)
-    parts = [pa.array(np.ascontiguousarray(column)) for column in np.nan_to_num(values).T]
-    return pa.StructArray.from_arrays(parts, fields=list(kind), mask=pa.array(missing))
+        values, axes = getattr(sensor, name), "wxyz" if name == "orientation" else "xyz"
+        columns[name] = pa.nulls(count, schema.field(name).type) if values is None else struct_array(values, axes)
+    return columns_table("imu_samples", columns, run=task.run, recording=task.recording.name, sensor=sensor.name)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Mapping
+from typing import Any
 
 import pyarrow as pa
 
@@ -10,6 +11,7 @@ from kinedex.ops.errors import StoreError
 from kinedex.ops.wording import counted
 from kinedex.pipelines.engine.context import StageContext
 from kinedex.storage.snapshot.manifest import ResultPart
+from kinedex.storage.snapshot.schemas import result_table
 from kinedex.storage.store.reused_results import rows_in_order, stored_fingerprints
 from kinedex.storage.store.store import Store
 
@@ -87,3 +89,23 @@ def _are_sound(store: Store, stage: str, kinds: Iterable[str]) -> bool:
     except StoreError:
         return False  # repair removes damaged parts, and the stage then computes all rows again
     return True
+
+
+def take_tables(kind: str, rows: Iterable[dict[str, Any]], takes: Iterable[int], run: str) -> list[pa.Table]:
+    """Return rows of a kind of results as one table for each take, in the order of takes.
+
+    Parameters
+    ----------
+    kind : str
+        The kind of results.
+    rows : iterable of dict
+        Rows with `take_id`; the order of rows within a take is kept.
+    takes : iterable of int
+        The ids of the takes.
+    run : str
+        Id of the run.
+    """
+    own: dict[int, list[dict[str, Any]]] = {take_id: [] for take_id in takes}
+    for row in rows:
+        own[row["take_id"]].append(row)
+    return [result_table(kind, some, run) for some in own.values()]

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Collection, Hashable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from math import ceil
+from math import ceil, isnan
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -17,8 +18,13 @@ from kinedex.pipelines.engine.digests import hash_of
 from kinedex.pipelines.inertial.limb_motion import LimbMotion
 from kinedex.pipelines.inertial.parameters import CalibrationSettings
 from kinedex.pipelines.inertial.worn_sensors import Clock, WornSensor, WornTake, WornTakes, stream_of
+from kinedex.storage.snapshot.schemas import result_schema
+from kinedex.storage.store.store import Store
 
 F64 = npt.NDArray[np.float64]
+
+CALIBRATION = "sensor_calibration"
+"""The kind of results with a row for each sensor in each take."""
 
 MOST_FRAMES = 100_000
 """The largest number of frames of a limb that a calibration of several takes uses, spread evenly."""
@@ -215,12 +221,12 @@ def fit_together(task: FitTask) -> list[SensorFit]:
     worn = [one for take in task.takes for one in _worn(take, task.clocks)]
     if task.given is not None:
         worn = [_with_mount(one, task.given, task.params.source, task.foreign) for one in worn]
-    return [*_fits(worn, task.params, task.given), *(one for take in task.takes for one in _lacking(take))]
-
-
-def _lacking(take: WornTake) -> list[SensorFit]:
-    """Return the sensors of a take that cannot be compared with it, with the reasons."""
-    return [SensorFit(take.take_id, take.take, *names, "", left_out=text) for names, text in take.lacking.items()]
+    lacking = [  # the sensors that cannot be compared with their take
+        SensorFit(take.take_id, take.take, *names, "", left_out=text)
+        for take in task.takes
+        for names, text in take.lacking.items()
+    ]
+    return [*_fits(worn, task.params, task.given), *lacking]
 
 
 def _with_mount(one: _Worn, fits: Mapping[str, StreamFit], source: str, foreign: bool) -> _Worn:
@@ -316,3 +322,49 @@ def _thinned(streams: Sequence[Stream]) -> list[Stream]:
             valid[np.flatnonzero(stream.valid)[::every]] = True
         thinned.append(replace(stream, valid=valid))
     return thinned
+
+
+def calibration_row(one: SensorFit) -> dict[str, Any]:
+    """Return the row of one sensor in one take."""
+    fit = one.fit
+    row: dict[str, Any] = {
+        "take_id": one.take_id,
+        "take": one.take,
+        "recording": one.recording,
+        "sensor": one.sensor,
+        "limb": one.limb,
+        "basis": one.basis or None,
+        "direction": _struct(one.direction, "xyz"),
+        "left_out": one.left_out or None,
+    }
+    found = not one.left_out
+    row["q_global"] = _struct(one.q_global if found else None, "wxyz")
+    if fit is not None:
+        row |= {
+            "q_mount": _struct(fit.q_mount if found else None, "wxyz"),
+            "frames": fit.frames,
+            "inliers": fit.inliers,
+            "median_deg": None if isnan(fit.median_deg) else fit.median_deg,
+            "observability": fit.observability,
+            "tilt_deg": fit.tilt_deg,
+            "drift": [
+                {"t": t, "degrees": degrees}
+                for t, degrees in zip(fit.drift.times.tolist(), fit.drift.degrees.tolist(), strict=True)
+            ],
+            "warning": fit.warning or None,
+        }
+    return row
+
+
+def _struct(values: F64 | None, axes: str) -> dict[str, float] | None:
+    return None if values is None else dict(zip(axes, values.tolist(), strict=True))
+
+
+def stored_calibrations(store: Store, stage: str) -> dict[tuple[int, str, str], dict[str, Any]]:
+    """Return the rows of calibrated sensors that a stage has stored, by take_id, recording and sensor."""
+    columns = [name for name in result_schema(CALIBRATION).names if name not in ("run", "fingerprint")]
+    return {
+        (row["take_id"], row["recording"], row["sensor"]): row
+        for row in store.result(CALIBRATION, stage=stage).select(columns).to_pylist()
+        if row["left_out"] is None
+    }

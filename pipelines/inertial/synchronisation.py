@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
 from kinedex.ops.inertial.hand_eye import Options, Stream, StreamFit, calibrate
 from kinedex.ops.inertial.rotations import angular_speed, conjugate, multiply
-from kinedex.ops.inertial.time_offset import Fine, Speeds, TimeOffset, find, find_drift, refine, sensor_speed
+from kinedex.ops.inertial.time_offset import Fine, Speeds, find, find_drift, refine, sensor_speed
 from kinedex.ops.inertial.whitened_offset import whitened_offset
 from kinedex.pipelines.inertial.limb_motion import LimbMotion
 from kinedex.pipelines.inertial.parameters import SynchroniseParameters
@@ -66,7 +67,8 @@ def synchronise(take: WornTake, recording: str, params: SynchroniseParameters) -
         return RecordingClock(None, left_out=reason)
     found = find(speeds, params.longest_s)
     if found.refused:
-        return _refused(found, len(speeds))
+        correlation, next_best = (None if np.isnan(one) else one for one in (found.correlation, found.next_best))
+        return RecordingClock(None, correlation, next_best, len(speeds), left_out=found.refused)
     clock, refined = _refined(take, sensors, Clock(found.offset_s), params)
     next_best = None if np.isnan(found.next_best) else found.next_best
     return RecordingClock(clock, found.correlation, next_best, len(speeds), refined)
@@ -76,11 +78,6 @@ def _limb_speed(limb: LimbMotion) -> tuple[np.ndarray, np.ndarray]:
     """Return the times and angular speeds of a limb; the speeds are NaN where the limb is not valid."""
     orientation = np.where(limb.valid[:, None], limb.orientation, np.nan)
     return angular_speed(limb.times, orientation)
-
-
-def _refused(found: TimeOffset, limbs: int) -> RecordingClock:
-    correlation, next_best = (None if np.isnan(value) else value for value in (found.correlation, found.next_best))
-    return RecordingClock(None, correlation, next_best, limbs, left_out=found.refused)
 
 
 def _refined(
@@ -141,3 +138,20 @@ def _fine(sensor: WornSensor, stream: Stream, fit: StreamFit) -> Fine:
     predicted = multiply(multiply(conjugate(fit.q_global), stream.track[stream.valid]), fit.q_mount)
     known = np.isfinite(sensor.orientation).all(axis=1)
     return Fine(times, fit.drift.uncorrected(times, predicted), sensor.times[known], sensor.orientation[known])
+
+
+def sync_row(take_id: int, take: str, recording: str, found: RecordingClock) -> dict[str, Any]:
+    """Return a row with the clock offset and drift of one recording of a take."""
+    clock = found.clock
+    return {
+        "take_id": take_id,
+        "take": take,
+        "recording": recording,
+        "offset_s": None if clock is None else clock.offset_s,
+        "ppm": None if clock is None else clock.ppm,
+        "correlation": found.correlation,
+        "next_best": found.next_best,
+        "limbs": found.limbs,
+        "refined": found.refined,
+        "left_out": found.left_out or None,
+    }

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from typing import Any, TypeVar
 
 import numpy as np
 import numpy.typing as npt
@@ -12,6 +13,7 @@ import pyarrow.compute as pc
 
 from kinedex.ops.inertial.hand_eye import Stream
 from kinedex.ops.inertial.rotations import interpolate
+from kinedex.pipelines.engine.context import StageContext
 from kinedex.pipelines.engine.digests import hash_of
 from kinedex.pipelines.inertial.limb_motion import LimbMotion, limbs_of_rows, struct_rows
 from kinedex.storage.snapshot.row_groups import RowGroups
@@ -19,6 +21,10 @@ from kinedex.storage.store.reused_results import stored_fingerprints
 from kinedex.storage.store.store import Store
 
 F64 = npt.NDArray[np.float64]
+Value = TypeVar("Value")
+
+SYNC = "sensor_sync"
+"""The kind of results with the clocks of recordings."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -116,6 +122,12 @@ class WornTakes:
         self.without_limbs = [name for name, key in by_name if key not in self._limbs]
         """The names of takes with sensors whose limbs were not read."""
 
+    @classmethod
+    def of(cls, context: StageContext, store: Store) -> WornTakes:
+        """Return those whose limbs, with errors if the pipeline breaks them, and sensors are inputs of a stage."""
+        limbs = context.inputs.get("broken", context.inputs["limbs"])
+        return cls(store, context.key(limbs), context.key(context.inputs["sensors"]))
+
     @property
     def names(self) -> dict[int, str]:
         """The names of the takes, by take_id."""
@@ -146,12 +158,8 @@ class WornTakes:
         """Return a take with its limbs and sensors."""
         rows = self._rows[take_id]
         worn = self._limbs.rows(take_id, "limb", {str(row["limb"]) for row in rows})
-        motions = limbs_of_rows(worn).limbs if worn.num_rows else {}
-        return self._take(take_id, str(rows[0]["take"]), motions, rows)
-
-    def _take(
-        self, take_id: int, take: str, limbs: Mapping[str, LimbMotion], rows: list[dict[str, object]]
-    ) -> WornTake:
+        limbs = limbs_of_rows(worn).limbs if worn.num_rows else {}
+        take = str(rows[0]["take"])
         sensors: list[WornSensor] = []
         lacking: dict[tuple[str, str, str], str] = {}
         samples: dict[str, pa.Table] = {}
@@ -194,3 +202,20 @@ def stream_of(take: WornTake, sensor: WornSensor, clock: Clock) -> Stream:
     orientation, known = interpolate(sensor.times, sensor.orientation, clock.sensor_time(limb.times))
     valid = known & limb.valid & ~limb.jump & np.isfinite(limb.orientation).all(axis=1)
     return Stream(sensor.limb, take.take, limb.times, orientation, limb.orientation, valid)
+
+
+def stored_clocks(store: Store, stage: str) -> dict[tuple[int, str], Clock]:
+    """Return the clocks that a stage has found, by take_id and recording."""
+    return {
+        (row["take_id"], row["recording"]): Clock(row["offset_s"], row["ppm"])
+        for row in store.result(SYNC, stage=stage).to_pylist()
+        if row["offset_s"] is not None
+    }
+
+
+def by_take(found: Mapping[tuple[Any, ...], Value]) -> dict[int, list[tuple[tuple[Any, ...], Value]]]:
+    """Return clocks or calibrations with their keys, grouped by take_id and sorted."""
+    own: dict[int, list[tuple[tuple[Any, ...], Value]]] = {}
+    for key in sorted(found):
+        own.setdefault(key[0], []).append((key, found[key]))
+    return own

@@ -209,7 +209,8 @@ class _Comparison:
         for motion in self.motions:
             path = motion.path
             if path not in self.names:
-                self.failures.append(failure(motion, _no_name(motion)))
+                taken = f"other takes have every name that its take could have, such as '{path}'; rename it"
+                self.failures.append(failure(motion, SourceError(motion.absolute, taken)))
             elif path not in self.known and self.names[path] != file_names(self.naming, path)[0]:
                 self.by_path[path] = self.names[path]
         for path, file in list(self.known.items()):
@@ -258,13 +259,6 @@ class _Comparison:
             tasks, self.unchanged, damaged, self.restated, gone, self.surplus, self.renamed, self.failures, skeletons,
             self.take_names, self.known, self.by_path, self.recipes,
         )  # fmt: skip
-
-
-def _no_name(motion: SourceFile) -> SourceError:
-    """Return the error of a file for whose take all possible names are in use."""
-    return SourceError(
-        motion.absolute, f"other takes have every name that its take could have, such as '{motion.path}'; rename it"
-    )
 
 
 def recipe_of(made_by: str, skeleton: str, groups: Mapping[str, str] | None = None) -> str:

@@ -77,24 +77,8 @@ class Descriptions:
                 yield row | values
 
 
-@dataclass(frozen=True)
-class Loss:
-    """The takes that would lose their values in a column.
-
-    Attributes
-    ----------
-    column : str
-        The column.
-    takes : dict of str to object
-        Name of a take → the value that it has.
-    """
-
-    column: str
-    takes: dict[str, Any]
-
-
-def losses(rows: Iterable[Row], columns: Mapping[str, TakeColumn], now: Descriptions) -> list[Loss]:
-    """Return the columns in which takes would lose their values, with these takes.
+def losses(rows: Iterable[Row], columns: Mapping[str, TakeColumn], now: Descriptions) -> dict[str, dict[str, Any]]:
+    """Return the columns in which takes would lose their values, each with the names of these takes and the values.
 
     Parameters
     ----------
@@ -112,7 +96,7 @@ def losses(rows: Iterable[Row], columns: Mapping[str, TakeColumn], now: Descript
         for name in described:
             if row.get(name) is not None and values[name] is None:
                 lost.setdefault(name, {})[row["name"]] = row[name]
-    return [Loss(name, lost[name]) for name in described if name in lost]
+    return {name: lost[name] for name in described if name in lost}
 
 
 def rows_below(rows: Sequence[Row], found: Scan, root: str) -> list[Row]:

@@ -12,7 +12,7 @@ import pyarrow as pa
 
 from kinedex.ops.errors import KinedexError, SourceError
 from kinedex.storage.formats.motion.sources import Refused, SourceFile, readable
-from kinedex.storage.snapshot.schemas import result_schema
+from kinedex.storage.snapshot.schemas import result_table
 
 MOST_MESSAGES = 10
 
@@ -122,13 +122,12 @@ def failure_messages(failures: Sequence[Failure]) -> list[str]:
     return lines + ([f"… and {more} more: SELECT * FROM ingest_log lists them all"] if more > 0 else [])
 
 
-def log_table(failures: Sequence[Failure], run: str) -> pa.Table:
-    """Return failures as rows of `ingest_log`."""
+def log_table(failures: Sequence[Failure], run: str, stage: str = "ingest") -> pa.Table:
+    """Return failures of a kind of stage as rows of `ingest_log`."""
     rows = [
         {
-            "run": run,
             "source": failure.source,
-            "stage": "ingest",
+            "stage": stage,
             "error": failure.error,
             "message": failure.message,
             "file": failure.file,
@@ -137,4 +136,4 @@ def log_table(failures: Sequence[Failure], run: str) -> pa.Table:
         }
         for failure in failures
     ]
-    return pa.Table.from_pylist(rows, schema=result_schema("ingest_log"))
+    return result_table("ingest_log", rows, run)

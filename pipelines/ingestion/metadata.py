@@ -10,13 +10,13 @@ import shlex
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from itertools import chain
+from itertools import chain, starmap
 from pathlib import Path
 from typing import Any
 
 from kinedex.ops.errors import AcceptError, ConfigError, SourceError
 from kinedex.ops.wording import counted
-from kinedex.pipelines.ingestion.described_takes import EVERYWHERE, Descriptions, Loss, losses, rows_below
+from kinedex.pipelines.ingestion.described_takes import EVERYWHERE, Descriptions, losses, rows_below
 from kinedex.pipelines.ingestion.known_files import Row
 from kinedex.pipelines.ingestion.parameters import IngestParameters
 from kinedex.pipelines.ingestion.pattern_proposal import matched, propose
@@ -358,18 +358,18 @@ def refuse_losses(params: IngestParameters, store: Store, found: Scan) -> None:
     joined = metadata.join(rows, params.root, columns)
     lost = losses(rows, columns, descriptions(params, joined))
     if lost:
-        takes = len({name for one in lost for name in one.takes})
+        takes = len({name for values in lost.values() for name in values})
         which = f"{takes:,} of {counted(len(rows), 'take')} below {params.source} would lose values"
-        lines = "".join(f"\n    {line}" for line in [*map(_loss_line, lost), *unused_lines(metadata)])
+        lines = "".join(f"\n    {line}" for line in [*starmap(_loss_line, lost.items()), *unused_lines(metadata)])
         raise AcceptError(
             f"{which}:{lines}\nnothing was changed. The store remembers the settings of this source: an ingest without "
             "`patterns` and `metadata` of its own uses them"
         )
 
 
-def _loss_line(loss: Loss) -> str:
-    examples = [f"'{value}' of {name}" for name, value in list(loss.takes.items())[:_EXAMPLES]]
-    return f"{loss.column}: {counted(len(loss.takes), 'take')}, such as {', '.join(examples)}"
+def _loss_line(column: str, values: Mapping[str, Any]) -> str:
+    examples = [f"'{value}' of {name}" for name, value in list(values.items())[:_EXAMPLES]]
+    return f"{column}: {counted(len(values), 'take')}, such as {', '.join(examples)}"
 
 
 def unmatched_paths(params: IngestParameters, found: Scan) -> list[str]:

@@ -57,11 +57,11 @@ def division(proposals: Sequence[Proposal]) -> Division | None:
     columns = [{token.role: token.column.values for token in one.tokens if token.role} for one in proposals]
     shared = [role for role in columns[0] if all(role in one for one in columns) and role != "class"]
     classes = [name for one in columns for name in one["class"]]
-    for role in sorted(shared, key=_order):
+    for role in sorted(shared, key=lambda role: {"actor": 0, "clip": 1}.get(role, 2)):
         values = [value for one in columns for value in one[role]]
         held_out = _held_out(classes, values)
         if held_out:
-            listed = ", ".join(_quoted(value) for value in held_out)
+            listed = ", ".join("'" + value.replace("'", "''") + "'" for value in held_out)
             one = len(held_out) == 1
             return Division(
                 f"{role} <> {listed}" if one else f"{role} NOT IN ({listed})",
@@ -71,10 +71,6 @@ def division(proposals: Sequence[Proposal]) -> Division | None:
     if len(classes) < _EVERY * len(set(classes)):
         return None
     return Division(f"take_id % {_EVERY} <> 0", f"take_id % {_EVERY} = 0", "every fourth take")
-
-
-def _order(role: str) -> int:
-    return {"actor": 0, "clip": 1}.get(role, 2)
 
 
 def _held_out(classes: Sequence[str], values: Sequence[str]) -> list[str]:
@@ -101,10 +97,6 @@ def _held_out(classes: Sequence[str], values: Sequence[str]) -> list[str]:
         covered |= set(of_value[best])
         left -= of_value[best]
     return sorted(found) if 2 * len(covered) >= len(set(classes)) else []
-
-
-def _quoted(value: str) -> str:
-    return "'" + value.replace("'", "''") + "'"
 
 
 MOST_VALUES = 12
@@ -153,11 +145,6 @@ def value_counts(token: Token, most: int) -> str:
     return shown + (f" and {len(counts) - most:,} more" if len(counts) > most else "")
 
 
-def pipeline_name(folder: Path) -> str:
-    """Return a name for the pipeline of a folder, with only the characters that such names may have."""
-    return re.sub(r"[^A-Za-z0-9_-]+", "-", folder.name).strip("-_") or "archive"
-
-
 def draft(proposals: Sequence[Proposal], source: Path, count: int, matched: int, output: str) -> str:
     """Return the text of a pipeline file.
 
@@ -177,7 +164,8 @@ def draft(proposals: Sequence[Proposal], source: Path, count: int, matched: int,
     output : str
         The path of the file, for the command in its comment.
     """
-    name = pipeline_name(source)
+    # names of pipelines have only these characters
+    name = re.sub(r"[^A-Za-z0-9_-]+", "-", source.name).strip("-_") or "archive"
     with_class = sum(len(one.layout.paths) for one in proposals if any(token.role == "class" for token in one.tokens))
     divided = division(proposals) if with_class == count else None
     lines = [

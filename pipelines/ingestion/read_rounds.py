@@ -214,7 +214,8 @@ class ReadRounds:
             with closing(run_batches(self.context.executor, read_batch, batches, _give_up)) as results:
                 for batch, written in results:
                     self._add(batch, written)
-                    several += [(task, written.persons[task.motion.path]) for task in _split(batch, written)]
+                    persons = ((task, written.persons.get(task.motion.path)) for task in batch.tasks)
+                    several += [(task, names) for task, names in persons if names is not None]
                     progress.advance(len(batch.tasks))
                     if self._is_stopped:
                         break
@@ -269,10 +270,6 @@ class ReadRounds:
                 self.done.failures.append(failure(task.motion, fault, person))
             else:
                 yield replace(task, name=name, person=person, persons=len(persons))
-
-
-def _split(batch: Batch, written: Written) -> list[Task]:
-    return [task for task in batch.tasks if task.motion.path in written.persons]
 
 
 def _no_column(task: Task, persons: Sequence[str]) -> SourceError:

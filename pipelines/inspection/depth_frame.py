@@ -89,13 +89,11 @@ def inspect_depth_frame(
     cloud = scene.preparation.prepare(image)
     graph = build_graph(cloud)
     source = find_source(cloud, graph) if len(cloud.points) else -1
-    extrema = _extrema(cloud, graph, source) if source >= 0 else None
+    extrema = None
+    if source >= 0:
+        space = extrema_room(len(cloud.points))
+        extrema = tips_first(cloud, graph, geodesic_extrema(graph, source, room=space), space)
     return InspectedFrame(camera, image, stride, placement, cloud, graph, source, extrema)
-
-
-def _extrema(cloud: FrameCloud, graph: PointGraph, source: int) -> Extrema:
-    room = extrema_room(len(cloud.points))
-    return tips_first(cloud, graph, geodesic_extrema(graph, source, room=room), room)
 
 
 def frame_facts(found: InspectedFrame) -> Inspection:

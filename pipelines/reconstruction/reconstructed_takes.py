@@ -12,7 +12,7 @@ import numpy.typing as npt
 import pyarrow as pa
 import pyarrow.compute as pc
 
-from kinedex.catalog.depth_placement import FLIP, Placement
+from kinedex.catalog.depth_placement import FLIP
 from kinedex.catalog.features import FeatureSet
 from kinedex.ops.body.gaps import fill_gaps
 from kinedex.ops.body.joint_tree import JOINTS
@@ -192,7 +192,8 @@ class ReconstructionResult:
             "joints": list(JOINTS),
             "bone_lengths": self.bones.lengths.tolist(),
             "floor_m": None if placement.floor_height is None else -placement.floor_height,
-            "turn": camera_turn(placement).ravel().tolist(),
+            # from the axes of the camera (x right, y down, z forward) to the world
+            "turn": (placement.rotation @ placement.turn * FLIP).ravel().tolist(),
             "place": placement.place.tolist(),
             "rate_hz": self.rate_hz,
             "source_frames": len(self.track.chosen),
@@ -274,12 +275,6 @@ class ReconstructionResult:
             "lookup_cost": one.lookup_cost,
             "trial_cost": _number(one.cost),
         }
-
-
-def camera_turn(placement: Placement) -> F64:
-    """Return the rotation (3, 3) from the camera's axes (x right, y down, z forward) to the world."""
-    turn: F64 = placement.rotation @ placement.turn * FLIP
-    return turn
 
 
 def _parts(cost: PoseCost) -> dict[str, float]:

@@ -22,7 +22,6 @@ from kinedex.pipelines.recordings.truth import Truth, at_rate, read_truth
 from kinedex.storage.formats.depth.recording import recording_truth
 from kinedex.storage.formats.motion.c3d import Markers, parse_c3d
 from kinedex.storage.formats.motion.positions import parse_positions
-from kinedex.storage.snapshot.schemas import result_schema
 from kinedex.storage.store.store import Store
 
 F64 = npt.NDArray[np.float64]
@@ -150,7 +149,7 @@ def compare(store: Store, found: Reconstruction, file: DepthRecordingsFile, trut
     ends = are_ends_found(found.extrema[:count], own[:count])
     names = tuple(JOINTS[j] for j in COMPARED.tolist())
     known_frames: Bool = np.any(np.isfinite(own[:count, COMPARED]), axis=(1, 2))
-    return Comparison(found.row, _short(given), names, gaps, known_frames, ends)
+    return Comparison(found.row, given.name if isinstance(given, Path) else given, names, gaps, known_frames, ends)
 
 
 def truth_places(
@@ -181,10 +180,6 @@ def truth_places(
     known = read_truth(store, truth, Path(), joints, rate_hz)
     places = _in_world(at_rate(known.joints, known.rate_hz, rate_hz), file.entry(name).truth_pose)
     return Truth(known.name, places, rate_hz)
-
-
-def _short(truth: str | Path) -> str:
-    return truth.name if isinstance(truth, Path) else truth
 
 
 def _in_world(places: F64, pose: WorldPose | None) -> F64:
@@ -302,8 +297,3 @@ def _figures(scope: str, name: str, gaps: F64, known: Bool) -> dict[str, Any]:
             "over_10cm": float((frames > OFF_M).mean()),
         }
     return found
-
-
-def errors_table(rows: Sequence[dict[str, Any]], run: str) -> pa.Table:
-    """Return rows as results of the kind `reconstruction_errors`."""
-    return pa.Table.from_pylist([{"run": run, **row} for row in rows], schema=result_schema("reconstruction_errors"))

@@ -266,7 +266,8 @@ def reconstruct(writer: StoreWriter, params: ReconstructParameters, database: st
     store, bodies = writer.store, named_bodies(params)
     takes = {name: f"{name}{RECONSTRUCTED}" for name in names}
     ids = take_ids_of(writer, takes.values())
-    poses = _digest(stored_database(store, database))
+    found = stored_database(store, database)
+    poses = hash_of(found.directions, found.origins, found.mean_bones)
     chosen = params.model_dump(exclude={"recordings", "only", "body"})
     tasks = [
         ReconstructTask(
@@ -282,7 +283,3 @@ def take_digest(store: Store, takes: Sequence[str]) -> str:
     """Return a hash of the takes that provide bones: of their names, files and recipes."""
     rows = {row["name"]: (row["checksum"], row["recipe"]) for row in store.take_rows.to_pylist()}
     return hash_of(*((name, rows.get(name)) for name in sorted(set(takes))))
-
-
-def _digest(database: PoseDatabase) -> str:
-    return hash_of(database.directions, database.origins, database.mean_bones)

@@ -284,7 +284,11 @@ def run_tasks(
             for line in finished.lines:
                 place.say(line)
     if faults:
-        raise KinedexError("\n".join([*faults, *([_rest(len(tasks) - len(faults))] if len(tasks) > 1 else [])]))
+        if len(tasks) > 1:
+            rest = len(tasks) - len(faults)
+            verb = "is" if rest == 1 else "are"
+            faults.append(f"the other {counted(rest, 'take')} of this run {verb} in the store")
+        raise KinedexError("\n".join(faults))
     return Outcome([one.take for one in tasks], unchanged)
 
 
@@ -294,10 +298,6 @@ def _attempt(work: Callable[[AnyTask], Finished], task: AnyTask) -> Finished | s
         return work(task)
     except KinedexError as fault:
         return str(fault)
-
-
-def _rest(count: int) -> str:
-    return f"the other {counted(count, 'take')} of this run {'is' if count == 1 else 'are'} in the store"
 
 
 def is_compiled(kernel: object) -> bool:

@@ -7,16 +7,35 @@ from pathlib import Path
 
 import numpy as np
 import numpy.typing as npt
+from pydantic import BaseModel, ConfigDict, Field
 
 from kinedex.catalog.skeletons.mappings import load_mappings
 from kinedex.ops.body.resample import resample
 from kinedex.ops.errors import KinedexError
+from kinedex.pipelines.engine.digests import Reading, hash_of
 from kinedex.storage.formats.motion.reader import ReadSettings
 from kinedex.storage.formats.motion.reader_table import motion_endings, read_body
 from kinedex.storage.snapshot.parts import joint_positions
 from kinedex.storage.store.store import Store
 
 F64 = npt.NDArray[np.float64]
+
+
+class TruthParameters(BaseModel):
+    """The parameters of the stages that compare takes of recordings with the truth."""
+
+    model_config = ConfigDict(extra="forbid")
+
+    truth: str | None = Field(
+        None,
+        description="a take, or a motion file, that all takes are compared with; that of the recording unless given",
+    )
+
+
+def every_take(store: Store) -> Reading:
+    """Return a digest of all takes of a store, any of which can be the truth."""
+    rows = store.take_rows.to_pylist()
+    return Reading(hash_of(sorted((row["name"], row["checksum"], row["recipe"]) for row in rows)), "")
 
 
 @dataclass(frozen=True, eq=False)
@@ -31,11 +50,14 @@ class Truth:
         Positions of joints in metres; NaN if unknown.
     rate_hz : float
         Frames per second.
+    failures : tuple of (int, int)
+        Half-open ranges of its frames in which the observations are known to fail.
     """
 
     name: str
     joints: F64
     rate_hz: float
+    failures: tuple[tuple[int, int], ...] = ()
 
 
 def take_places(store: Store, take: str, joints: tuple[str, ...]) -> F64:

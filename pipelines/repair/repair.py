@@ -106,17 +106,14 @@ def repair_store(
     root = Path(path)
     bad = bad_manifests(root)
     work = _Work(root, terminal, executor, workers, wait)
-    work.outcome.found = [_manifest_finding(root, one) for one in bad]
+    problems = ((one.file, f"the manifest is damaged: {one.problem}") for one in bad)
+    work.outcome.found = [Finding(file, problem, repair(root), "manifest") for file, problem in problems]
     work.outcome.found += [one for one in verify(Store(root, newest_sound(root, bad))) if one.kind != "manifest"]
     if dry_run:
         work.report_plan(bad)
     else:
         work.repair(bad)
     return work.outcome
-
-
-def _manifest_finding(store: Path, bad: BadManifest) -> Finding:
-    return Finding(bad.file, f"the manifest is damaged: {bad.problem}", repair(store), "manifest")
 
 
 class _Work:
@@ -167,7 +164,7 @@ class _Work:
             self.say(
                 f"the rows of {counted(rows.rows.num_rows, 'take')} would be restored, {len(rows.lost)} would be lost"
             )
-        take_ids = self._hit_takes(store)
+        take_ids = {take for one in self.outcome.found if one.kind in ("frames", "content") for take in one.takes}
         if take_ids and not wrong:
             found = self._sources(store).find(take_ids)
             count = sum(len(batch.tasks) for batch in found.batches)
@@ -434,10 +431,6 @@ class _Work:
             return False
         self.say(f"made the results of {few(run.stages)} again")
         return True
-
-    def _hit_takes(self, store: Store) -> set[int]:
-        kinds = ("frames", "content")
-        return {take for one in self.outcome.found if one.kind in kinds for take in one.takes}
 
     def _hit_stages(self, store: Store) -> dict[str, set[str]]:
         """Return the stages with damaged results or reports, each with the paths of its damaged parts."""

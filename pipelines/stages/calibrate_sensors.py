@@ -12,16 +12,16 @@ from kinedex.pipelines.engine.digests import Reading, hash_of
 from kinedex.pipelines.engine.display import ResultTable
 from kinedex.pipelines.engine.stage import Input, Stage
 from kinedex.pipelines.inertial.parameters import CalibrateParameters, CalibrationSettings
-from kinedex.pipelines.inertial.reused_takes import ReusedTakes
-from kinedex.pipelines.inertial.sensor_fits import fit_fingerprints, fit_groups, fit_tasks, fit_together
-from kinedex.pipelines.inertial.sensor_tables import (
+from kinedex.pipelines.inertial.reused_takes import ReusedTakes, take_tables
+from kinedex.pipelines.inertial.sensor_fits import (
     CALIBRATION,
-    by_take,
     calibration_row,
-    stored_clocks,
-    take_tables,
+    fit_fingerprints,
+    fit_groups,
+    fit_tasks,
+    fit_together,
 )
-from kinedex.pipelines.inertial.worn_sensors import WornTakes
+from kinedex.pipelines.inertial.worn_sensors import WornTakes, by_take, stored_clocks
 from kinedex.storage.store.store import Store
 
 
@@ -44,8 +44,7 @@ class CalibrateSensors(Stage[CalibrationSettings]):
     def run(self, context: StageContext, params: CalibrationSettings) -> dict[str, object]:
         """Calibrate the sensors of every synchronised recording, and store the results."""
         store = context.open()
-        limbs = context.key(context.inputs.get("broken", context.inputs["limbs"]))
-        takes = WornTakes(store, limbs, context.key(context.inputs["sensors"]))
+        takes = WornTakes.of(context, store)
         clocks = stored_clocks(store, context.key(context.inputs["clocks"]))
         wearing = _wearing(store, params.wearing)
         groups = fit_groups(takes, wearing, params)

@@ -25,9 +25,9 @@ from kinedex.pipelines.inertial.limb_labels import (
     unused_labels,
 )
 from kinedex.pipelines.inertial.parameters import EvaluateLimbErrorsParameters
-from kinedex.pipelines.inertial.sensor_tables import result_table
 from kinedex.storage.formats.labels.formats import any_ground_truth, ground_truth_files
 from kinedex.storage.snapshot.labels import is_of_limbs
+from kinedex.storage.snapshot.schemas import result_table
 from kinedex.storage.store.store import Store
 
 METRICS, LABELS = "limb_error_metrics", "limb_labels"

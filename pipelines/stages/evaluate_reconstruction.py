@@ -5,8 +5,6 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any, ClassVar
 
-from pydantic import BaseModel, ConfigDict, Field
-
 from kinedex.catalog.depth_recordings import DepthRecordingsFile, load_depth_recordings
 from kinedex.ops.errors import KinedexError
 from kinedex.pipelines.engine.context import StageContext
@@ -17,33 +15,23 @@ from kinedex.pipelines.reconstruction.reconstruction_errors import (
     Comparison,
     compare,
     error_rows,
-    errors_table,
     stored_reconstruction,
 )
 from kinedex.pipelines.recordings.runs import earlier_rows
+from kinedex.pipelines.recordings.truth import TruthParameters, every_take
 from kinedex.storage.formats.depth.recording import recording_truth
+from kinedex.storage.snapshot.schemas import result_table
 from kinedex.storage.store.store import Store
 
 
-class Params(BaseModel):
-    """The parameters of the stage `evaluate_reconstruction`."""
-
-    model_config = ConfigDict(extra="forbid")
-
-    truth: str | None = Field(
-        None,
-        description="a take, or a motion file, that all takes are compared with; that of the recording unless given",
-    )
-
-
-class EvaluateReconstruction(Stage[Params]):
+class EvaluateReconstruction(Stage[TruthParameters]):
     """Compares reconstructed takes with the truth, where it is known (thesis, Eq. 8.10)."""
 
     name = "evaluate_reconstruction"
-    parameters = Params
+    parameters = TruthParameters
     inputs: ClassVar = {"reconstructions": Input("reconstruct")}
 
-    def external_digest(self, params: Params, store: Store | None) -> str:
+    def external_digest(self, params: TruthParameters, store: Store | None) -> str:
         """Return a hash of the files of truth, and of the settings of the recordings that name them."""
         parts = store.manifest.results.get("reconstructions", ()) if store is not None else ()
         stages = sorted({part.stage for part in parts})
@@ -59,12 +47,11 @@ class EvaluateReconstruction(Stage[Params]):
             files |= {truth} if isinstance(truth, Path) else set()
         return hash_of(stated, files_digest(sorted(file for file in files if file.is_file())))
 
-    def reading(self, params: Params, store: Store) -> Reading:
+    def reading(self, params: TruthParameters, store: Store) -> Reading:
         """Return a digest of all takes, any of which can be the truth."""
-        rows = store.take_rows.to_pylist()
-        return Reading(hash_of(sorted((row["name"], row["checksum"], row["recipe"]) for row in rows)), "")
+        return every_take(store)
 
-    def run(self, context: StageContext, params: Params) -> dict[str, object]:
+    def run(self, context: StageContext, params: TruthParameters) -> dict[str, object]:
         """Compare every take whose truth is known, and store the errors."""
         store = context.open()
         stage = context.key(context.inputs["reconstructions"])
@@ -79,7 +66,7 @@ class EvaluateReconstruction(Stage[Params]):
             else:
                 found.append(known)
         rows = error_rows(found)
-        context.put_results(reconstruction_errors=errors_table(rows, context.run))
+        context.put_results(reconstruction_errors=result_table("reconstruction_errors", rows, context.run))
         if found:
             context.terminal.show(_table(rows))
         else:

@@ -5,61 +5,48 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any, ClassVar
 
-from pydantic import BaseModel, ConfigDict, Field
-
 from kinedex.pipelines.engine.context import StageContext
-from kinedex.pipelines.engine.digests import Reading, files_digest, hash_of
+from kinedex.pipelines.engine.digests import Reading, files_digest
 from kinedex.pipelines.engine.display import ResultTable
 from kinedex.pipelines.engine.stage import Input, Stage
 from kinedex.pipelines.recordings.runs import earlier_rows
+from kinedex.pipelines.recordings.truth import TruthParameters, every_take
 from kinedex.pipelines.tracking.recordings import stored_rows
 from kinedex.pipelines.tracking.track_evaluation import (
     SENSORS,
     compared,
     judged_by_sensors,
-    metrics_table,
     poses_of,
     truth_reference,
 )
 from kinedex.pipelines.tracking.tracked_takes import STABILISED, TRACKED
+from kinedex.storage.snapshot.schemas import result_table
 from kinedex.storage.store.store import Store
 
 
-class Params(BaseModel):
-    """The parameters of the stage `evaluate_track`."""
-
-    model_config = ConfigDict(extra="forbid")
-
-    truth: str | None = Field(
-        None,
-        description="a take, or a motion file, that all takes are compared with; that of the recording unless given",
-    )
-
-
-class EvaluateTrack(Stage[Params]):
+class EvaluateTrack(Stage[TruthParameters]):
     """Compares tracked and stabilised takes with the truth and with worn sensors, where known."""
 
     name = "evaluate_track"
-    parameters = Params
+    parameters = TruthParameters
     inputs: ClassVar = {
         "tracks": Input("track"),
         "stabilised": Input("stabilise", optional=True),
         "errors": Input("limb_errors", optional=True),
     }
 
-    def external_digest(self, params: Params, store: Store | None) -> str:
+    def external_digest(self, params: TruthParameters, store: Store | None) -> str:
         """Return a hash of the files of truth."""
         rows = stored_rows(store).values() if store is not None else ()
         names = [(params.truth or row["truth"], Path(row["file"]).parent) for row in rows]
         files = sorted({folder / Path(name).expanduser() for name, folder in names if name})
         return files_digest(file for file in files if file.is_file())
 
-    def reading(self, params: Params, store: Store) -> Reading:
+    def reading(self, params: TruthParameters, store: Store) -> Reading:
         """Return a digest of all takes, any of which can be the truth."""
-        rows = store.take_rows.to_pylist()
-        return Reading(hash_of(sorted((row["name"], row["checksum"], row["recipe"]) for row in rows)), "")
+        return every_take(store)
 
-    def run(self, context: StageContext, params: Params) -> dict[str, object]:
+    def run(self, context: StageContext, params: TruthParameters) -> dict[str, object]:
         """Compare every take with known truth or worn sensors, and store the errors."""
         store = context.open()
         recordings = stored_rows(store)
@@ -83,7 +70,7 @@ class EvaluateTrack(Stage[Params]):
         judged: list[dict[str, Any]] = []
         if "errors" in context.inputs:
             judged = judged_by_sensors(store, context.key(context.inputs["errors"]), tracked)
-        context.put_results(track_metrics=metrics_table([*rows, *judged], context.run))
+        context.put_results(track_metrics=result_table("track_metrics", [*rows, *judged], context.run))
         takes = [row for row in rows if row["scope"] == "take"]
         if takes:
             context.terminal.show(_table(rows))

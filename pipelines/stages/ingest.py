@@ -109,7 +109,10 @@ class Ingest(Stage[IngestParameters]):
             if not (params.strict and plan.failures):
                 done = ReadRounds(context, params, mappings, writer, plan).run()
             failures = [*plan.failures, *done.failures]
-            _put_files(context, writer, found, plan, done, failures)
+            files = file_table(found, root, plan, done, failures)
+            log = log_table(failures, context.run)
+            for kind, table in {"ingest_log": log, "source_files": files, "skeleton_files": plan.skeletons}.items():
+                writer.put_results(kind, table, stage=context.key(), run=context.run)
             if (params.strict and failures) or not (plan.unchanged or done.takes):
                 writer.commit()
                 raise _nothing_more(context, params, found, failures)
@@ -138,16 +141,6 @@ class Ingest(Stage[IngestParameters]):
             "dropped": len(dropped),
             "unmatched": unmatched,
         }
-
-
-def _put_files(
-    context: StageContext, writer: StoreWriter, found: Scan, plan: Changes, done: FilesRead, failures: list[Failure]
-) -> None:
-    """Store the outcome of every file of the source in the results of the stage."""
-    files = file_table(found, found.motions[0].root, plan, done, failures)
-    tables = {"ingest_log": log_table(failures, context.run), "source_files": files, "skeleton_files": plan.skeletons}
-    for kind, table in tables.items():
-        writer.put_results(kind, table, stage=context.key(), run=context.run)
 
 
 def _nothing_more(

@@ -23,9 +23,9 @@ from kinedex.pipelines.inertial.limb_error_curves import (
     take_errors,
 )
 from kinedex.pipelines.inertial.parameters import LimbErrorsParameters
-from kinedex.pipelines.inertial.reused_takes import ReusedTakes
-from kinedex.pipelines.inertial.sensor_tables import by_take, stored_calibrations, stored_clocks, take_tables
-from kinedex.pipelines.inertial.worn_sensors import WornTakes
+from kinedex.pipelines.inertial.reused_takes import ReusedTakes, take_tables
+from kinedex.pipelines.inertial.sensor_fits import stored_calibrations
+from kinedex.pipelines.inertial.worn_sensors import WornTakes, by_take, stored_clocks
 from kinedex.storage.store.store import Store
 
 
@@ -49,8 +49,7 @@ class LimbErrors(Stage[LimbErrorsParameters]):
     def run(self, context: StageContext, params: LimbErrorsParameters) -> dict[str, object]:
         """Compare every limb that has a calibrated sensor, and store its errors and runs."""
         store = context.open()
-        limbs = context.key(context.inputs.get("broken", context.inputs["limbs"]))
-        takes = WornTakes(store, limbs, context.key(context.inputs["sensors"]))
+        takes = WornTakes.of(context, store)
         clocks = stored_clocks(store, context.key(context.inputs["clocks"]))
         mounts = stored_calibrations(store, context.key(context.inputs["mounts"]))
         of_clocks, of_mounts = by_take(clocks), by_take(mounts)

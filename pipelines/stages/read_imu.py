@@ -6,8 +6,6 @@ from collections import Counter
 from collections.abc import Sequence
 from typing import Any, ClassVar
 
-import pyarrow as pa
-
 from kinedex.ops.errors import KinedexError
 from kinedex.ops.wording import counted
 from kinedex.pipelines.engine.context import StageContext
@@ -53,7 +51,9 @@ class ReadImu(Stage[ReadImuParameters]):
 
     def reading(self, params: ReadImuParameters, store: Store) -> Reading:
         """Return a digest of the names of the takes to which recordings can be assigned."""
-        return Reading(hash_of(sorted(take_ids(store).items()), *_made_key(store)), "names of takes")
+        made = made_takes(store)
+        takes = hash_of(sorted(take_ids(store).items()), *((sorted(made.items()),) if made else ()))
+        return Reading(takes, "names of takes")
 
     def external_digest(self, params: ReadImuParameters, store: Store | None) -> str:
         """Return a hash of the recordings by path, size and time, and of the file that describes the sensors."""
@@ -114,9 +114,8 @@ class ReadImu(Stage[ReadImuParameters]):
                     _put(context, writer, waiting, gone)
                     waiting, samples = [], 0
             _put(context, writer, waiting, gone)
-            writer.put_results(
-                "ingest_log", _log(list(dict.fromkeys(failures)), context.run), stage=context.key(), run=context.run
-            )
+            log = log_table(list(dict.fromkeys(failures)), context.run, self.name)
+            writer.put_results("ingest_log", log, stage=context.key(), run=context.run)
             writer.commit()
         return done
 
@@ -166,12 +165,6 @@ def made_takes(store: Store) -> dict[str, list[str]]:
     return found
 
 
-def _made_key(store: Store) -> tuple[object, ...]:
-    """Return the takes made from camera recordings for a digest; an empty tuple if there are none."""
-    made = made_takes(store)
-    return (sorted(made.items()),) if made else ()
-
-
 def _fingerprints(store: Store, stage: str) -> dict[str, str]:
     """Return a dict from recording to fingerprint for the recordings that a stage has stored."""
     return {str(row["recording"]): str(row["fingerprint"]) for row in earlier_rows(store, "imu_recordings", stage)}
@@ -186,9 +179,3 @@ def _earlier_failures(store: Store, stage: str, unchanged: set[str]) -> list[Fai
         for row in earlier_rows(store, "ingest_log", stage)
         if row["source"] in files
     ]
-
-
-def _log(failures: Sequence[Failure], run: str) -> pa.Table:
-    table = log_table(failures, run)
-    place = table.schema.get_field_index("stage")
-    return table.set_column(place, table.schema.field("stage"), pa.repeat(pa.scalar("read_imu"), table.num_rows))

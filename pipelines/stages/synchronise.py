@@ -13,10 +13,9 @@ from kinedex.pipelines.engine.digests import Reading, hash_of
 from kinedex.pipelines.engine.display import ResultTable
 from kinedex.pipelines.engine.stage import Input, Stage
 from kinedex.pipelines.inertial.parameters import SynchroniseParameters
-from kinedex.pipelines.inertial.reused_takes import ReusedTakes
-from kinedex.pipelines.inertial.sensor_tables import SYNC, sync_row, take_tables
-from kinedex.pipelines.inertial.synchronisation import LEAST_DRIFT_S, synchronise
-from kinedex.pipelines.inertial.worn_sensors import WornTake, WornTakes
+from kinedex.pipelines.inertial.reused_takes import ReusedTakes, take_tables
+from kinedex.pipelines.inertial.synchronisation import LEAST_DRIFT_S, sync_row, synchronise
+from kinedex.pipelines.inertial.worn_sensors import SYNC, WornTake, WornTakes
 from kinedex.storage.store.store import Store
 
 
@@ -38,8 +37,7 @@ class Synchronise(Stage[SynchroniseParameters]):
     def run(self, context: StageContext, params: SynchroniseParameters) -> dict[str, object]:
         """Estimate the clock of every recording of a take, or give the reason why that is impossible."""
         store = context.open()
-        limbs = context.key(context.inputs.get("broken", context.inputs["limbs"]))
-        takes = WornTakes(store, limbs, context.key(context.inputs["sensors"]))
+        takes = WornTakes.of(context, store)
         prints = takes.fingerprints(context.code, params.model_dump())
         reuse = ReusedTakes(context, store, prints, SYNC)
         rows: list[dict[str, Any]] = []

@@ -13,7 +13,7 @@ from typing import Any
 from kinedex.ops.errors import KinedexError, ParameterError
 from kinedex.ops.synth.actors import Actor, actor_name, cast
 from kinedex.ops.synth.motions import MOTIONS
-from kinedex.ops.synth.performance import RATE_HZ, Performance, perform_clip, perform_take
+from kinedex.ops.synth.performance import RATE_HZ, perform_clip, perform_take
 from kinedex.ops.synth.solve import columns
 from kinedex.pipelines.engine.display import Progress, no_progress
 from kinedex.pipelines.engine.executors import cores, make_executor
@@ -268,11 +268,8 @@ def _perform(folder: str, seed: int, task: _Task) -> _Written:
         path = Path(folder) / "takes" / f"{name}.amc"
         performance = perform_take(actor, task.seconds, task.number, seed)
     size = write_amc(path, columns(actor.body), performance.angles, _dialect(task.actor))
-    return _Written(name, bool(task.motion), len(performance.angles), size, _rows(performance))
-
-
-def _rows(performance: Performance) -> tuple[tuple[str, int, int], ...]:
-    return tuple((label.label, label.start, label.stop) for label in performance.labels)
+    labels = tuple((label.label, label.start, label.stop) for label in performance.labels)
+    return _Written(name, bool(task.motion), len(performance.angles), size, labels)
 
 
 def _write_ground_truth(path: Path, written: list[_Written]) -> int:

@@ -30,7 +30,7 @@ from kinedex.pipelines.templates.examples import interval_of
 from kinedex.pipelines.templates.learning import SubclassTemplate, TrainingClips
 from kinedex.storage.snapshot.frames import words_of
 from kinedex.storage.snapshot.parts import joint_positions
-from kinedex.storage.snapshot.schemas import result_schema
+from kinedex.storage.snapshot.schemas import result_table
 from kinedex.storage.store.store import Store
 
 F64 = npt.NDArray[np.float64]
@@ -171,7 +171,6 @@ def poses_table(poses: Iterable[ClassPoses], run: str) -> pa.Table:
     nodes = load_kinematic_chain().nodes
     rows = [
         {
-            "run": run,
             "class": one.label,
             "clips": list(one.clips),
             "columns": len(one.table.means),
@@ -183,7 +182,7 @@ def poses_table(poses: Iterable[ClassPoses], run: str) -> pa.Table:
         }
         for one in poses
     ]
-    return pa.Table.from_pylist(rows, schema=result_schema("archive_poses"))
+    return result_table("archive_poses", rows, run)
 
 
 def _class_poses(row: dict[str, Any]) -> ClassPoses:

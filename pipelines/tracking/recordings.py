@@ -21,7 +21,7 @@ from kinedex.ops.errors import KinedexError, did_you_mean
 from kinedex.pipelines.recordings.recorded_takes import Provenance, stamp_of
 from kinedex.storage.formats.cameras.recording import Recording, RecordingCounts, read_recording, recording_files
 from kinedex.storage.formats.motion.sources import checksum
-from kinedex.storage.snapshot.schemas import result_schema
+from kinedex.storage.snapshot.schemas import columns_table, result_schema, result_table
 from kinedex.storage.store.store import Store
 
 F64 = npt.NDArray[np.float64]
@@ -86,11 +86,10 @@ class ReadRecording:
         text = json.dumps([own, self.given.model_dump(mode="json")], sort_keys=True)
         return hashlib.sha256(text.encode()).hexdigest()
 
-    def row(self, run: str) -> dict[str, Any]:
+    def row(self) -> dict[str, Any]:
         """Return the row of the recording in the results `recordings`."""
         found, given = self.recording, self.given
         return {
-            "run": run,
             "recording": self.name,
             "rate_hz": given.rate_hz if found is None else found.rate_hz,
             "source_frames": None if found is None else found.frames,
@@ -118,15 +117,15 @@ class ReadRecording:
         """Return the rows of one kind of results of the recording."""
         rows: list[dict[str, Any]]
         if kind == "recordings":
-            rows = [self.row(run)]
+            rows = [self.row()]
         elif kind == "recording_files":
             rows = [
-                {"run": run, "recording": self.name, "kind": what, "path": str(path), "bytes": size, "checksum": sha}
+                {"recording": self.name, "kind": what, "path": str(path), "bytes": size, "checksum": sha}
                 for what, path, size, sha in self.files
             ]
         elif kind == "cameras":
             rows = [] if self.recording is None else [
-                {"run": run, "recording": self.name, "camera": one.name, "number": number, "width": one.size[0],
+                {"recording": self.name, "camera": one.name, "number": number, "width": one.size[0],
                  "height": one.size[1], "matrix": one.matrix.ravel().tolist(), "distortion": one.distortion.tolist(),
                  "rotation": one.rotation.ravel().tolist(), "translation": one.translation.tolist(),
                  "centre": one.centre.tolist()}
@@ -134,19 +133,16 @@ class ReadRecording:
             ]  # fmt: skip
         else:
             return self._observations(run)
-        return pa.Table.from_pylist(rows, schema=result_schema(kind))
+        return result_table(kind, rows, run)
 
     def _observations(self, run: str) -> pa.Table:
-        schema = result_schema("observations")
         found = self.recording
         if found is None or not found.keypoints:
-            return schema.empty_table()
+            return result_schema("observations").empty_table()
         frames, cameras, points = np.nonzero((found.confidence > 0) & np.isfinite(found.pixels).all(axis=3))
         names = pa.array([camera.name for camera in found.cameras]), pa.array(found.keypoints)
         pixels = found.pixels[frames, cameras, points]
         columns = {
-            "run": pa.repeat(pa.scalar(run), len(frames)),
-            "recording": pa.repeat(pa.scalar(self.name), len(frames)),
             "camera": names[0].take(pa.array(cameras)),
             "source_frame": pa.array(frames, pa.int32()),
             "keypoint": names[1].take(pa.array(points)),
@@ -154,7 +150,7 @@ class ReadRecording:
             "y": pa.array(pixels[:, 1]),
             "confidence": pa.array(found.confidence[frames, cameras, points]),
         }
-        return pa.table([columns[name] for name in schema.names], schema=schema)
+        return columns_table("observations", columns, run=run, recording=self.name)
 
 
 RECORDING_KINDS = ("recordings", "recording_files", "cameras", "observations")

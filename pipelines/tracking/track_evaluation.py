@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import csv
-from collections.abc import Collection, Sequence
-from dataclasses import dataclass
+from collections.abc import Collection
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -17,9 +17,8 @@ from kinedex.catalog.kinematics import load_kinematic_chain
 from kinedex.ops.body.kinematic_chain import ChainBody, forward
 from kinedex.ops.errors import KinedexError
 from kinedex.pipelines.inertial.limb_error_curves import judged_limbs
-from kinedex.pipelines.recordings.truth import at_rate, read_truth
+from kinedex.pipelines.recordings.truth import Truth, at_rate, read_truth
 from kinedex.pipelines.tracking.tracked_takes import stored_poses
-from kinedex.storage.snapshot.schemas import result_schema
 from kinedex.storage.store.store import Store
 
 F64 = npt.NDArray[np.float64]
@@ -32,29 +31,7 @@ FAILURES = "failures.csv"
 """A table beside a truth file, with columns recording, start, stop: intervals where a simulated detector fails."""
 
 
-@dataclass(frozen=True, eq=False)
-class Reference:
-    """The positions of joints over time from another source.
-
-    Attributes
-    ----------
-    name : str
-        The name of the take or file.
-    joints : float64 array (J, 3, T)
-        Joint positions of the kinematic chain in metres; NaN if unknown.
-    rate_hz : float
-        Frames per second.
-    failures : tuple of (int, int)
-        Half-open ranges of its frames in which the observations are known to fail.
-    """
-
-    name: str
-    joints: F64
-    rate_hz: float
-    failures: tuple[tuple[int, int], ...] = ()
-
-
-def truth_reference(store: Store, truth: str, folder: Path, recording: str | None) -> Reference:
+def truth_reference(store: Store, truth: str, folder: Path, recording: str | None) -> Truth:
     """Return the truth of a recording.
 
     Parameters
@@ -74,9 +51,9 @@ def truth_reference(store: Store, truth: str, folder: Path, recording: str | Non
         `truth` is neither a take nor a motion file.
     """
     found = read_truth(store, truth, folder, load_kinematic_chain().joints)
-    is_take = truth in store.take_ids
-    failures = () if is_take else _failures((folder / Path(truth).expanduser()).parent / FAILURES, recording)
-    return Reference(found.name, found.joints, found.rate_hz, failures)
+    if truth in store.take_ids:
+        return found
+    return replace(found, failures=_failures((folder / Path(truth).expanduser()).parent / FAILURES, recording))
 
 
 def _failures(file: Path, recording: str | None) -> tuple[tuple[int, int], ...]:
@@ -91,7 +68,7 @@ def _failures(file: Path, recording: str | None) -> tuple[tuple[int, int], ...]:
         raise KinedexError(f"{file}: {expected}: {fault!r}") from None
 
 
-def compared(row: dict[str, Any], poses: pa.Table, reference: Reference) -> list[dict[str, Any]]:
+def compared(row: dict[str, Any], poses: pa.Table, reference: Truth) -> list[dict[str, Any]]:
     """Return error statistics of a track against a reference.
 
     Parameters
@@ -100,7 +77,7 @@ def compared(row: dict[str, Any], poses: pa.Table, reference: Reference) -> list
         The row of the track in the results `tracks`.
     poses : pyarrow.Table
         Its rows of `chain_poses`.
-    reference : Reference
+    reference : Truth
         The reference; only frames that both have are compared.
 
     Raises
@@ -144,11 +121,6 @@ def _figures(scope: str, name: str, gaps: F64) -> dict[str, Any]:
         "median_mm": float(np.median(own)) if len(own) else None,
         "max_mm": float(frames.max()) if len(frames) else None,
     }
-
-
-def metrics_table(rows: Sequence[dict[str, Any]], run: str) -> pa.Table:
-    """Return rows as results of the kind `track_metrics`."""
-    return pa.Table.from_pylist([{"run": run, **row} for row in rows], schema=result_schema("track_metrics"))
 
 
 def poses_of(store: Store, stage: str, take_id: int) -> pa.Table:

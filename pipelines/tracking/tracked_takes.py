@@ -19,7 +19,7 @@ from kinedex.ops.tracking.observations import Rays
 from kinedex.pipelines.recordings.recorded_takes import Provenance
 from kinedex.pipelines.tracking.chain_tracker import ChainTracker, frame_figures, ray_residuals
 from kinedex.storage.formats.motion.reader import Body
-from kinedex.storage.snapshot.schemas import TRACK_FORMAT, result_schema
+from kinedex.storage.snapshot.schemas import TRACK_FORMAT, result_schema, result_table
 
 Bool = npt.NDArray[np.bool_]
 
@@ -189,7 +189,7 @@ class TrackResult:
         if isinstance(rows, dict):
             count = len(next(iter(rows.values())))
             return _table(kind, {name: [value] * count for name, value in own.items()} | rows)
-        return pa.Table.from_pylist([own | row for row in rows], schema=result_schema(kind))
+        return result_table(kind, [own | row for row in rows], run)
 
     def _track(self) -> list[dict[str, Any]]:
         chain, last = self.tracker.body.chain, self.last_rows

@@ -293,14 +293,10 @@ def _result(task: TrackTask | StabiliseTask, tracker: ChainTracker, track: Track
 def _finished(
     task: TrackTask | StabiliseTask, result: TrackResult, subject: Subject, kinds: Sequence[str], line: str
 ) -> Finished:
-    take = _take(task.take, subject, result.poses, task.fingerprint, _warnings(result))
-    return Finished(take, {kind: result.table(kind, task.run) for kind in kinds}, (line,))
-
-
-def _warnings(result: TrackResult) -> list[str]:
-    """Return the warnings about the take."""
     lost = 0 if result.lost is None else int(result.lost.sum())
-    return [f"the tracker had lost the body in {counted(lost, 'frame')}"] if lost else []
+    warnings = [f"the tracker had lost the body in {counted(lost, 'frame')}"] if lost else []
+    take = _take(task.take, subject, result.poses, task.fingerprint, warnings)
+    return Finished(take, {kind: result.table(kind, task.run) for kind in kinds}, (line,))
 
 
 def _doubts(result: TrackResult, subject: Subject) -> str:

@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from operator import le
-from typing import Literal
+from typing import Any, Literal
 
 import pyarrow as pa
 
@@ -252,6 +252,18 @@ def result_schema(kind: str) -> pa.Schema:
         raise KinedexError(f"no kind of result is named '{kind}'{did_you_mean(kind, RESULT_KINDS)}")
     metadata = {_METADATA + "kind": kind, _METADATA + "format_version": str(FORMAT_VERSION)}
     return _RESULTS[kind].with_metadata(metadata)
+
+
+def result_table(kind: str, rows: Iterable[Mapping[str, Any]], run: str) -> pa.Table:
+    """Return rows of a kind of result of one run as a table; columns that a row lacks are null."""
+    return pa.Table.from_pylist([{"run": run, **row} for row in rows], schema=result_schema(kind))
+
+
+def columns_table(kind: str, columns: Mapping[str, Any], **constants: object) -> pa.Table:
+    """Return rows of a kind of result from their columns, and from values that are the same in every row."""
+    schema, count = result_schema(kind), len(next(iter(columns.values())))
+    same = {name: pa.repeat(pa.scalar(value, schema.field(name).type), count) for name, value in constants.items()}
+    return with_columns(pa.table({**columns, **same}), schema)
 
 
 def with_columns(table: pa.Table, schema: pa.Schema) -> pa.Table:

@@ -11,7 +11,7 @@ from typer.testing import CliRunner, Result
 
 from kinedex.commands.cli import app
 from kinedex.pipelines.engine.config import load_pipeline
-from kinedex.pipelines.engine.known_failures import SourceFiles, SourceState, source_files
+from kinedex.pipelines.engine.known_failures import SourceFiles, source_files
 from kinedex.pipelines.labels.unmatched_labels import UnmatchedLabels
 from kinedex.storage.lock import NO_WAIT
 from kinedex.storage.store.store import open_store
@@ -127,7 +127,7 @@ def test_labels_that_match_no_take_are_remembered(nights: Nights, tmp_path: Path
     pipeline = load_pipeline("ingest", None, {"source": str(nights.archive)})
 
     def night(*unmatched: UnmatchedLabels) -> SourceFiles:
-        state = SourceState()
+        state: dict[str, str | None] = {}
         return source_files(nights.store, pipeline, state, unmatched, remember=True, run="r", wait=NO_WAIT)
 
     found = night(lost)
