@@ -8,10 +8,10 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-import numpy.typing as npt
 import pyarrow as pa
 
 from kinedex.catalog.features import FeatureSet
+from kinedex.ops.arrays import F64, U64
 from kinedex.ops.body.facing_direction import Placement, placement_of, start_at_origin, turned_quaternions
 from kinedex.ops.body.mirrored_motion import mirrored_places, mirrored_quaternions
 from kinedex.ops.body.resample import covered_frames, resample
@@ -29,7 +29,6 @@ if TYPE_CHECKING:
     from kinedex.catalog.skeletons.mappings import Mappings
     from kinedex.storage.formats.motion.channel_cuts import SourceCut
 
-F64 = npt.NDArray[np.float64]
 
 _PAIRS = ("hip", "shoulder")
 
@@ -62,7 +61,7 @@ def clip_motion(frames: pa.Table, clip: Clip, how: How, features: FeatureSet, ra
     places: F64 = joint_positions(rows, features.joints).transpose(2, 0, 1).astype(np.float64)
     parts = rows.column("root_orientation").combine_chunks().flatten()
     turns: F64 = np.stack([part.to_numpy(zero_copy_only=False) for part in parts], axis=1).astype(np.float64)
-    words: npt.NDArray[np.uint64] | None = words_of(rows)
+    words: U64 | None = words_of(rows)
     if clip.mirrored:
         places, turns = mirrored_places(places, features.joints), mirrored_quaternions(turns)
         words = features.mirrored(words) if words is not None and features.mirror else None

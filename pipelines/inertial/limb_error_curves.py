@@ -12,6 +12,7 @@ import numpy.typing as npt
 import pyarrow as pa
 import pyarrow.compute as pc
 
+from kinedex.ops.arrays import F64, Bool
 from kinedex.ops.inertial.disagreement import Run, RunRules, auto_tau, direction_errors, errors, jump_runs, runs
 from kinedex.ops.inertial.drift import HeadingDrift
 from kinedex.ops.inertial.limb_orientation import NONE, long_axis
@@ -24,8 +25,6 @@ from kinedex.storage.snapshot.row_groups import RowGroups
 from kinedex.storage.snapshot.schemas import columns_table, result_schema
 from kinedex.storage.store.store import Store
 
-F64 = npt.NDArray[np.float64]
-Flags = npt.NDArray[np.bool_]
 Names = npt.NDArray[np.str_]
 
 
@@ -57,8 +56,8 @@ class LimbCurve:
     degrees: F64
     swing: F64
     twist: F64
-    valid: Flags
-    jump: Flags
+    valid: Bool
+    jump: Bool
 
     @property
     def error(self) -> F64:
@@ -316,7 +315,7 @@ class JudgedLimb:
     take: str
     limb: str
     error: F64
-    valid: Flags
+    valid: Bool
     rate_hz: float
 
 

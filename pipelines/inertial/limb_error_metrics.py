@@ -9,16 +9,14 @@ from dataclasses import asdict, dataclass, field
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
 from kinedex.catalog.limbs import LIMBS
 from kinedex.catalog.printed_figures import PrintedFigures
+from kinedex.ops.arrays import I64
 from kinedex.ops.evaluation.metrics import Counts, compare
 from kinedex.ops.evaluation.threshold_counts import threshold_counts
 from kinedex.pipelines.inertial.limb_error_curves import JudgedLimb
 from kinedex.pipelines.inertial.limb_labels import PlacedLabel
-
-I64 = npt.NDArray[np.int64]
 
 SENSORS, RUNS, ALL = "sensors", "runs", "all"
 """The detectors (errors above each threshold, and stored runs), and the name of rows that pool everything."""

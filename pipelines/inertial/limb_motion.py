@@ -8,11 +8,11 @@ from dataclasses import dataclass
 from itertools import pairwise
 
 import numpy as np
-import numpy.typing as npt
 import pyarrow as pa
 import pyarrow.compute as pc
 
 from kinedex.catalog.limbs import LIMBS, Limb
+from kinedex.ops.arrays import F64, I64, Bool
 from kinedex.ops.body.joint_tree import JOINT_PARENTS
 from kinedex.ops.errors import ParameterError
 from kinedex.ops.inertial.limb_orientation import (
@@ -28,9 +28,6 @@ from kinedex.ops.inertial.limb_orientation import (
 from kinedex.storage.formats.motion.segments import Segments
 from kinedex.storage.snapshot.schemas import columns_table, result_schema
 from kinedex.storage.store.store import Store
-
-F64 = npt.NDArray[np.float64]
-Bool = npt.NDArray[np.bool_]
 
 _TRUNK = {"pelvis": ("root", "lhip", "rhip"), "torso": ("chest", "neck", "lshoulder", "rshoulder")}
 """The joints used as markers of a limb of the trunk that has neither a node nor markers."""
@@ -326,7 +323,7 @@ def _take_id(rows: pa.Table) -> int:
     return int(rows.column("take_id")[0].as_py())
 
 
-def _runs(values: npt.NDArray[np.int64]) -> list[tuple[int, int]]:
+def _runs(values: I64) -> list[tuple[int, int]]:
     edges = [0, *(np.flatnonzero(np.diff(values)) + 1).tolist(), len(values)] if len(values) else []
     return list(pairwise(edges))
 

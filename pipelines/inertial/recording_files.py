@@ -11,10 +11,10 @@ from types import MappingProxyType
 from typing import Literal
 
 import numpy as np
-import numpy.typing as npt
 import pyarrow as pa
 
 from kinedex.catalog.sensorsets import SensorSet, load_sensor_set
+from kinedex.ops.arrays import F64
 from kinedex.ops.errors import KinedexError, SourceError, did_you_mean
 from kinedex.ops.inertial.orientation_filter import estimate, estimate_calibrated
 from kinedex.ops.inertial.packages import MissingPackageError
@@ -215,8 +215,6 @@ def stamps(paths: Iterable[Path]) -> list[tuple[str, int, int]]:
         found.append((str(path), state.st_size, state.st_mtime_ns))
     return found
 
-
-F64 = npt.NDArray[np.float64]
 
 _LONGEST_BRIDGE_S = 1.0
 _LARGEST_OFFSET = 0.05  # share of the field that the offset of a calibrated magnetometer may have

@@ -8,8 +8,8 @@ from math import ceil, isnan
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
+from kinedex.ops.arrays import F64
 from kinedex.ops.errors import KinedexError, ParameterError, did_you_mean
 from kinedex.ops.inertial.disagreement import mount_direction
 from kinedex.ops.inertial.hand_eye import Options, Stream, StreamFit, calibrate
@@ -20,8 +20,6 @@ from kinedex.pipelines.inertial.parameters import CalibrationSettings
 from kinedex.pipelines.inertial.worn_sensors import Clock, WornSensor, WornTake, WornTakes, stream_of
 from kinedex.storage.snapshot.schemas import result_schema
 from kinedex.storage.store.store import Store
-
-F64 = npt.NDArray[np.float64]
 
 CALIBRATION = "sensor_calibration"
 """The kind of results with a row for each sensor in each take."""

@@ -7,10 +7,10 @@ from dataclasses import dataclass
 from typing import Any, TypeVar
 
 import numpy as np
-import numpy.typing as npt
 import pyarrow as pa
 import pyarrow.compute as pc
 
+from kinedex.ops.arrays import F64
 from kinedex.ops.inertial.hand_eye import Stream
 from kinedex.ops.inertial.rotations import interpolate
 from kinedex.pipelines.engine.context import StageContext
@@ -20,7 +20,6 @@ from kinedex.storage.snapshot.row_groups import RowGroups
 from kinedex.storage.store.reused_results import stored_fingerprints
 from kinedex.storage.store.store import Store
 
-F64 = npt.NDArray[np.float64]
 Value = TypeVar("Value")
 
 SYNC = "sensor_sync"

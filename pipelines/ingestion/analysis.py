@@ -6,12 +6,12 @@ from collections.abc import Collection, Iterable, Mapping
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
 from kinedex.catalog.feature_definitions import Feature
 from kinedex.catalog.features import FeatureSet
 from kinedex.catalog.quality import quality_columns, quality_warnings
 from kinedex.catalog.quality_figures import FIGURES
+from kinedex.ops.arrays import F64, U64
 from kinedex.ops.body import features
 from kinedex.ops.body.plausibility import Plausibility, plausibility
 from kinedex.ops.body.resample import feature_rate, resample
@@ -20,10 +20,8 @@ from kinedex.ops.words import NO_WORD
 from kinedex.storage.formats.motion.reader import Body
 from kinedex.storage.snapshot.schemas import TakeColumn, column_problem
 
-F64 = npt.NDArray[np.float64]
 
-
-def analyse(body: Body, feature_set: FeatureSet, rate_hz: float) -> tuple[F64, F64, npt.NDArray[np.uint64]]:
+def analyse(body: Body, feature_set: FeatureSet, rate_hz: float) -> tuple[F64, F64, U64]:
     """Compute features at the rate of the source, and sample them at the analysis rate.
 
     Parameters
@@ -132,7 +130,7 @@ def judged(body: Body, joints: tuple[str, ...], stored: Collection[str]) -> tupl
 
 
 def body_row(
-    body: Body, words: npt.NDArray[np.uint64], feature_set: FeatureSet, rate_hz: float, stored: Collection[str]
+    body: Body, words: U64, feature_set: FeatureSet, rate_hz: float, stored: Collection[str]
 ) -> dict[str, Any]:
     """Return the columns of `takes` that follow from a body: skeleton, time, quality, warnings and known features.
 

@@ -7,11 +7,9 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-import numpy.typing as npt
-
 from kinedex.catalog.features import FeatureSet
 from kinedex.catalog.skeletons.mappings import Mappings
+from kinedex.ops.arrays import F64, U64
 from kinedex.ops.errors import SourceError, StoreError
 from kinedex.pipelines.ingestion.analysis import analyse, body_row
 from kinedex.pipelines.ingestion.described_takes import group_values
@@ -24,8 +22,6 @@ from kinedex.storage.formats.motion.text_blocks import BLOCK
 from kinedex.storage.formats.source_files import source_bytes
 from kinedex.storage.snapshot.manifest import Part
 from kinedex.storage.snapshot.parts import FramesWriter
-
-F64 = npt.NDArray[np.float64]
 
 
 @dataclass(frozen=True)
@@ -148,7 +144,7 @@ class _Take:
     """A take that was read: its row of `takes`, and its positions, orientation and words."""
 
     row: dict[str, Any]
-    frames: tuple[F64, F64, npt.NDArray[np.uint64]]
+    frames: tuple[F64, F64, U64]
 
 
 def _analysed(batch: Batch, task: Task) -> _Take | tuple[str, ...]:
@@ -190,7 +186,7 @@ def _stamp(path: Path) -> tuple[int, int]:
     return found.st_size, found.st_mtime_ns
 
 
-def _take_row(batch: Batch, task: Task, content: str, body: Body, words: npt.NDArray[np.uint64]) -> dict[str, Any]:
+def _take_row(batch: Batch, task: Task, content: str, body: Body, words: U64) -> dict[str, Any]:
     judged = body_row(body, words, batch.feature_set, batch.rate_hz, batch.figures)
     return (
         task.groups

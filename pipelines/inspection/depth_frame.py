@@ -6,10 +6,10 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-import numpy.typing as npt
 
 from kinedex.catalog.depth_cameras import DepthCamera
 from kinedex.catalog.depth_placement import Placement, placement_of
+from kinedex.ops.arrays import F32
 from kinedex.ops.depth.extrema import Extrema, extrema_room, find_source, geodesic_extrema, tips_first
 from kinedex.ops.depth.graph import PointGraph, build_graph
 from kinedex.ops.depth.points import FrameCloud, choose_stride
@@ -19,8 +19,6 @@ from kinedex.pipelines.inspection.inspection import Inspection
 from kinedex.pipelines.reconstruction.recording_tracks import make_scene
 from kinedex.storage.formats.depth.camera_file import read_camera
 from kinedex.storage.formats.depth.frames import read_frame
-
-F32 = npt.NDArray[np.float32]
 
 
 @dataclass(frozen=True, eq=False)

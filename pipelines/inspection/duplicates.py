@@ -9,10 +9,10 @@ from itertools import groupby
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 import pyarrow as pa
 import xxhash
 
+from kinedex.ops.arrays import F32, I64
 from kinedex.ops.duplicates.alignments import find_alignments
 from kinedex.ops.duplicates.same_motion import NEARLY_ALL, local_poses, same_motion
 from kinedex.ops.duplicates.word_agreement import plausible
@@ -38,8 +38,6 @@ CACHED_BYTES = 256 * 2**20
 _FRAMES = (("root", "lhip", "rhip"), ("neck", "lshoulder", "rshoulder"))
 """The joints that define the position and direction of poses: those of the pelvis, else those of the shoulders."""
 
-F32 = npt.NDArray[np.float32]
-I64 = npt.NDArray[np.int64]
 
 Candidate = tuple[int, int, int, bool]
 """A possible alignment of two takes: both names, the shift in frames, and whether the second is mirrored."""

@@ -5,18 +5,16 @@ from __future__ import annotations
 from collections.abc import Collection
 
 import numpy as np
-import numpy.typing as npt
 import pyarrow as pa
 
 from kinedex.catalog.features import FeatureSet
+from kinedex.ops.arrays import U64
 from kinedex.ops.intervals import in_seconds
 from kinedex.ops.search.runs import feature_runs
 from kinedex.ops.words import NO_WORD
 
 
-def feature_shares(
-    words: npt.NDArray[np.uint64], rate_hz: float, feature_set: FeatureSet, unknown: Collection[str] = ()
-) -> pa.Table:
+def feature_shares(words: U64, rate_hz: float, feature_set: FeatureSet, unknown: Collection[str] = ()) -> pa.Table:
     """Count the frames and runs in which every feature holds.
 
     Parameters

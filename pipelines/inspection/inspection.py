@@ -7,7 +7,6 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
-import numpy.typing as npt
 import pyarrow as pa
 
 from kinedex.catalog.features import FeatureSet, load_feature_set
@@ -15,6 +14,7 @@ from kinedex.catalog.quality import quality_warnings
 from kinedex.catalog.quality_figures import FIGURES
 from kinedex.catalog.skeletons.mappings import Format, Mappings, load_mappings
 from kinedex.catalog.skeletons.units import body_height
+from kinedex.ops.arrays import F64
 from kinedex.ops.body import kinematics
 from kinedex.ops.body.gaps import find_gaps
 from kinedex.ops.body.joint_tree import JOINT_PARENTS
@@ -36,8 +36,6 @@ from kinedex.storage.formats.motion.points import Points, PointsReader
 from kinedex.storage.formats.motion.positions import parse_positions
 from kinedex.storage.formats.motion.reader import DEFAULT_SETTINGS, Body, MotionFile, ReadSettings
 from kinedex.storage.formats.motion.reader_table import persons_of, read_body, reader_of
-
-F64 = npt.NDArray[np.float64]
 
 SHOWN = 6
 """The number of frames in the picture, including the first and the last."""

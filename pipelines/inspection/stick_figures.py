@@ -5,10 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-import numpy as np
-import numpy.typing as npt
-
-F64 = npt.NDArray[np.float64]
+from kinedex.ops.arrays import F64
 
 LEFT, RIGHT, MIDDLE = "#1f6fc4", "#d1495b", "#3c3c3c"
 """Colours of bones by the side of the body; bones of unknown side have that of the middle."""

@@ -11,18 +11,15 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
 from kinedex.catalog.depth_cameras import DepthCamera
+from kinedex.ops.arrays import F32, F64
 from kinedex.ops.body.joint_tree import JOINTS
 from kinedex.ops.errors import KinedexError, SourceError
 from kinedex.pipelines.reconstruction.live import LiveTracker
 from kinedex.storage.formats.depth.frame_files import IMAGES, RAW
 from kinedex.storage.formats.depth.frames import read_frame
 from kinedex.storage.formats.depth.png import frame_number
-
-F32 = npt.NDArray[np.float32]
-F64 = npt.NDArray[np.float64]
 
 POLL_S = 0.004
 """Seconds between two checks of the folder for new files."""

@@ -14,6 +14,7 @@ import numpy.typing as npt
 from kinedex.catalog.bodies import load_body
 from kinedex.catalog.depth_cameras import DepthCamera
 from kinedex.catalog.depth_placement import Placement, placement_of
+from kinedex.ops.arrays import F32, F64
 from kinedex.ops.body.joint_tree import JOINTS
 from kinedex.ops.depth.points import choose_stride
 from kinedex.ops.depth.pose_database import DISTANCE_M
@@ -62,9 +63,6 @@ from kinedex.storage.formats.motion.table_writer import write_trc
 from kinedex.storage.lock import NO_WAIT, Wait
 from kinedex.storage.store.store import Store, open_store
 from kinedex.storage.store.writer import StoreWriter
-
-F32 = npt.NDArray[np.float32]
-F64 = npt.NDArray[np.float64]
 
 _DRAWN_M, _DRAWN_PX = 2.5, 160  # the distance of a drawn figure, and the width of its image
 

@@ -14,9 +14,9 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
-import numpy.typing as npt
 import pyarrow as pa
 
+from kinedex.ops.arrays import F32, F64, I64
 from kinedex.ops.body.joint_tree import JOINTS
 from kinedex.ops.depth.pose_database import PoseThinning, bone_directions, bone_lengths_of
 from kinedex.ops.errors import KinedexError
@@ -25,10 +25,6 @@ from kinedex.pipelines.engine.display import Progress, ProgressBar, no_progress
 from kinedex.storage.snapshot.parts import joint_positions
 from kinedex.storage.snapshot.schemas import DEPTH_FORMAT, result_schema
 from kinedex.storage.store.store import Store
-
-F32 = npt.NDArray[np.float32]
-F64 = npt.NDArray[np.float64]
-I64 = npt.NDArray[np.int64]
 
 BATCH_FRAMES = 500_000
 """The approximate number of frames in memory while poses are thinned."""

@@ -8,12 +8,12 @@ from itertools import islice
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 import pyarrow as pa
 import pyarrow.compute as pc
 
 from kinedex.catalog.depth_placement import FLIP
 from kinedex.catalog.features import FeatureSet
+from kinedex.ops.arrays import F64, Bool
 from kinedex.ops.body.gaps import fill_gaps
 from kinedex.ops.body.joint_tree import JOINTS
 from kinedex.ops.depth.low_pass import low_pass
@@ -33,9 +33,6 @@ from kinedex.storage.formats.motion.points import root_orientation
 from kinedex.storage.formats.motion.reader import SHORT_GAP_S, Body
 from kinedex.storage.snapshot.schemas import DEPTH_FORMAT, result_schema
 from kinedex.storage.store.store import Store
-
-Bool = npt.NDArray[np.bool_]
-F64 = npt.NDArray[np.float64]
 
 RECONSTRUCTED = "_reconstructed"
 """The suffix of the name of a take that was reconstructed from a recording."""

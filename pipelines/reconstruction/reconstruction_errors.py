@@ -8,11 +8,11 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 import pyarrow as pa
 
 from kinedex.catalog.depth_recordings import DepthRecordingsFile, WorldPose
 from kinedex.catalog.kinematics import load_kinematic_chain
+from kinedex.ops.arrays import F64, Bool
 from kinedex.ops.body.joint_tree import JOINTS
 from kinedex.ops.body.kinematic_chain import forward
 from kinedex.ops.body.pose_fit import fit_poses, measured_body
@@ -23,9 +23,6 @@ from kinedex.storage.formats.depth.recording import recording_truth
 from kinedex.storage.formats.motion.c3d import Markers, parse_c3d
 from kinedex.storage.formats.motion.positions import parse_positions
 from kinedex.storage.store.store import Store
-
-F64 = npt.NDArray[np.float64]
-Bool = npt.NDArray[np.bool_]
 
 OFF_M = 0.1
 """The error, in metres, above which a frame counts as off."""

@@ -7,11 +7,11 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
 from kinedex.catalog.bodies import load_body
 from kinedex.catalog.depth_cameras import DepthCamera
 from kinedex.catalog.depth_placement import Placement, placement_of
+from kinedex.ops.arrays import F32, F64, I64
 from kinedex.ops.body.joint_tree import JOINTS
 from kinedex.ops.depth.background import behind_share
 from kinedex.ops.depth.bidirectional import choose_directions
@@ -29,8 +29,6 @@ from kinedex.pipelines.reconstruction.parameters import ESTIMATE
 from kinedex.pipelines.reconstruction.pose_database import PoseDatabase
 from kinedex.storage.formats.depth.recording import DepthRecording
 from kinedex.storage.formats.depth.recording_checks import MOST_BEHIND
-
-F64 = npt.NDArray[np.float64]
 
 _HYPOTHESES: tuple[Hypothesis | None, ...] = (None, "local", "database")
 _FIRST_ROOM = 256
@@ -144,9 +142,6 @@ class FrameRecords(Sequence[FrameResult | None]):
             box=tuple(row["box"].tolist()),
         )  # fmt: skip
 
-
-F32 = npt.NDArray[np.float32]
-I64 = npt.NDArray[np.int64]
 
 STRIDE_FRAMES = 10
 """The number of frames by which the stride is chosen."""

@@ -9,7 +9,6 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-import numpy.typing as npt
 
 from kinedex.catalog.bodies import load_body
 from kinedex.catalog.depth_recordings import AUTO, NONE, DepthRecordingsFile, load_depth_recordings
@@ -47,8 +46,6 @@ from kinedex.storage.formats.motion.sources import checksum
 from kinedex.storage.snapshot.parts import joint_positions
 from kinedex.storage.store.store import Store
 from kinedex.storage.store.writer import StoreWriter
-
-F64 = npt.NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)

@@ -6,10 +6,10 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-import numpy.typing as npt
 from pydantic import BaseModel, ConfigDict, Field
 
 from kinedex.catalog.skeletons.mappings import load_mappings
+from kinedex.ops.arrays import F64
 from kinedex.ops.body.resample import resample
 from kinedex.ops.errors import KinedexError
 from kinedex.pipelines.engine.digests import Reading, hash_of
@@ -17,8 +17,6 @@ from kinedex.storage.formats.motion.reader import ReadSettings
 from kinedex.storage.formats.motion.reader_table import motion_endings, read_body
 from kinedex.storage.snapshot.parts import joint_positions
 from kinedex.storage.store.store import Store
-
-F64 = npt.NDArray[np.float64]
 
 
 class TruthParameters(BaseModel):

@@ -10,12 +10,12 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 import pyarrow as pa
 import pyarrow.parquet as pq
 
 from kinedex.catalog.keypoint_sets import KeypointSet, load_keypoint_set
 from kinedex.catalog.kinematics import load_kinematic_chain, load_surface
+from kinedex.ops.arrays import F64, I64
 from kinedex.ops.body.capsules import body_capsules
 from kinedex.ops.body.kinematic_chain import ChainBody, vector_of
 from kinedex.ops.body.pose_fit import measured_body
@@ -37,9 +37,6 @@ from kinedex.pipelines.simulation.recording_files import (
     write_recordings,
 )
 from kinedex.storage.store.store import Store
-
-F64 = npt.NDArray[np.float64]
-I64 = npt.NDArray[np.int64]
 
 FAILURES = "failures.csv"
 

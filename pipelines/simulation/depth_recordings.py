@@ -8,10 +8,10 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
 from kinedex.catalog.depth_cameras import DepthCamera
 from kinedex.catalog.filmed_bodies import FilmedBody, load_filmed_body
+from kinedex.ops.arrays import F64, Bool
 from kinedex.ops.body.joint_tree import JOINTS
 from kinedex.ops.depth.pose_database import bone_lengths_of
 from kinedex.ops.errors import KinedexError, ParameterError, did_you_mean
@@ -31,8 +31,6 @@ from kinedex.storage.formats.depth.png import write_depth_png
 from kinedex.storage.formats.motion.joint_motion import JointMotion
 from kinedex.storage.formats.motion.table_writer import write_csv
 from kinedex.storage.store.store import Store
-
-F64 = npt.NDArray[np.float64]
 
 
 @dataclass(frozen=True)
@@ -202,7 +200,7 @@ def _filmed(store: Store, request: Request, body: FilmedBody, take: str) -> Film
     return film_take(SENSORS[request.camera], body, joints[start:stop], lengths, request.azimuth_deg, seed)
 
 
-def _way_out(joints: F64, known: npt.NDArray[np.bool_], start: int, stop: int) -> str:
+def _way_out(joints: F64, known: Bool, start: int, stop: int) -> str:
     """Return the unknown joint or frame of a take, and an interval that can be recorded, as text."""
     first = start + int(np.argmin(known[start:stop]))
     joint = JOINTS[int(np.argmin(np.isfinite(joints[first]).all(axis=1)))]

@@ -8,14 +8,12 @@ from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
-import numpy.typing as npt
 import pyarrow as pa
 import pyarrow.parquet as pq
 
+from kinedex.ops.arrays import F64
 from kinedex.ops.inertial.noise import Readings
 from kinedex.pipelines.simulation.imu_sensors import SampledPiece
-
-F64 = npt.NDArray[np.float64]
 
 _COUNTER_WRAP = 65_536
 

@@ -8,12 +8,12 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 import yaml
 
 from kinedex import __version__
 from kinedex.catalog.imu_grades import load_grade
 from kinedex.catalog.limbs import chosen_limbs
+from kinedex.ops.arrays import F64
 from kinedex.ops.errors import KinedexError, ParameterError
 from kinedex.ops.wording import counted
 from kinedex.pipelines.engine.display import Progress
@@ -32,8 +32,6 @@ from kinedex.pipelines.simulation.imu_sensors import (
 from kinedex.pipelines.simulation.recording_files import chosen_takes, new_folder, recording_names, require_new
 from kinedex.storage.formats.csv_tables import csv_line
 from kinedex.storage.store.store import Store
-
-F64 = npt.NDArray[np.float64]
 
 LEAST_SHARE = 0.5
 """The fraction of a window above which the class that covers most of it becomes its class."""

@@ -6,17 +6,14 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 
 import numpy as np
-import numpy.typing as npt
 
+from kinedex.ops.arrays import F64, Bool
 from kinedex.ops.errors import ParameterError
 from kinedex.ops.inertial.limb_orientation import NONE
 from kinedex.ops.inertial.noise import Clock, Grade, Readings, generator, measured, random_clock, random_mount
 from kinedex.ops.inertial.rotations import interpolate
 from kinedex.ops.inertial.sensor_model import FIELD_UT, INCLINATION_DEG, magnetic_field, sensor_motion, world_turn
 from kinedex.pipelines.inertial.limb_motion import LimbMotion
-
-F64 = npt.NDArray[np.float64]
-Bool = npt.NDArray[np.bool_]
 
 LEAST_SECONDS = 2.0
 """The smallest length of a piece in seconds, unless windows are shorter."""

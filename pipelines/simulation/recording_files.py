@@ -13,17 +13,15 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 import yaml
 
+from kinedex.ops.arrays import F64
 from kinedex.ops.errors import KinedexError
 from kinedex.pipelines.engine.display import Progress
 from kinedex.storage.disk import TEMPORARY
 from kinedex.storage.formats.labels.formats import file_names
 from kinedex.storage.snapshot.parts import joint_positions
 from kinedex.storage.store.store import Store
-
-F64 = npt.NDArray[np.float64]
 
 RECORDINGS, TRUTH = "recordings.yaml", "truth"
 """The file that lists the recordings of a folder, and the folder of their true motion."""

@@ -8,7 +8,6 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 import pyarrow as pa
 
 from kinedex.catalog.classes import Classes
@@ -32,8 +31,6 @@ from kinedex.storage.snapshot.frames import words_of
 from kinedex.storage.snapshot.parts import joint_positions
 from kinedex.storage.snapshot.schemas import result_table
 from kinedex.storage.store.store import Store
-
-F64 = npt.NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)

@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import numpy as np
-import numpy.typing as npt
 
 from kinedex.catalog.kinematics import load_kinematic_chain
+from kinedex.ops.arrays import F64
 from kinedex.ops.body.kinematic_chain import ChainBody
 from kinedex.ops.body.pose_fit import measured_body
 from kinedex.ops.errors import KinedexError, ParameterError, did_you_mean
@@ -13,8 +13,6 @@ from kinedex.ops.tracking.body_estimate import estimate_body, mean_body
 from kinedex.pipelines.recordings.truth import take_places
 from kinedex.storage.snapshot.schemas import RECORDED_FORMATS
 from kinedex.storage.store.store import Store
-
-F64 = npt.NDArray[np.float64]
 
 MOST_ACTORS = 50
 """The largest number of actors of an archive from which the mean body is computed."""

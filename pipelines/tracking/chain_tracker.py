@@ -6,8 +6,8 @@ from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
-import numpy.typing as npt
 
+from kinedex.ops.arrays import F64, I64, Bool
 from kinedex.ops.body.kinematic_chain import ChainBody, Poses, forward
 from kinedex.ops.priors.stabilise import Track
 from kinedex.ops.tracking.contours import Silhouettes
@@ -20,9 +20,6 @@ from kinedex.ops.tracking.side_exchange import exchanged_sides
 from kinedex.ops.tracking.silhouette_terms import track_take_on_silhouettes
 from kinedex.ops.tracking.take_tracker import SCHEDULE, Loss, TakeTrack, track_take
 from kinedex.ops.tracking.trust import SEEN, TRUST_WIDTH, Trust, restart, trust
-
-F64 = npt.NDArray[np.float64]
-Bool = npt.NDArray[np.bool_]
 
 AGREEING = 0.5
 """The smallest robust weight of a keypoint with which a camera agrees with a track."""
@@ -287,10 +284,10 @@ class FrameFigures:
         The number of keypoints on which the cameras disagree.
     """
 
-    cameras: npt.NDArray[np.int64] | None
+    cameras: I64 | None
     agreeing: F64 | None
     trusted: F64
-    contested: npt.NDArray[np.int64]
+    contested: I64
 
 
 def frame_figures(tracker: ChainTracker, poses: Poses) -> FrameFigures:

@@ -9,7 +9,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 import pyarrow as pa
 import pyarrow.compute as pc
 
@@ -17,14 +16,13 @@ from kinedex.catalog.cameras import Camera
 from kinedex.catalog.configs import config_path
 from kinedex.catalog.keypoint_sets import load_keypoint_set
 from kinedex.catalog.recordings import CameraRecording, RecordingsFile, load_recordings
+from kinedex.ops.arrays import F64
 from kinedex.ops.errors import KinedexError, did_you_mean
 from kinedex.pipelines.recordings.recorded_takes import Provenance, stamp_of
 from kinedex.storage.formats.cameras.recording import Recording, RecordingCounts, read_recording, recording_files
 from kinedex.storage.formats.motion.sources import checksum
 from kinedex.storage.snapshot.schemas import columns_table, result_schema, result_table
 from kinedex.storage.store.store import Store
-
-F64 = npt.NDArray[np.float64]
 
 
 def named_files(file: RecordingsFile, name: str) -> list[tuple[str, Path]]:

@@ -9,20 +9,17 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 import pyarrow as pa
 import pyarrow.compute as pc
 
 from kinedex.catalog.kinematics import load_kinematic_chain
+from kinedex.ops.arrays import F64
 from kinedex.ops.body.kinematic_chain import ChainBody, forward
 from kinedex.ops.errors import KinedexError
 from kinedex.pipelines.inertial.limb_error_curves import judged_limbs
 from kinedex.pipelines.recordings.truth import Truth, at_rate, read_truth
 from kinedex.pipelines.tracking.tracked_takes import stored_poses
 from kinedex.storage.store.store import Store
-
-F64 = npt.NDArray[np.float64]
-Bool = npt.NDArray[np.bool_]
 
 LIMBS = tuple(side + name for name in ("hip", "knee", "ankle", "shoulder", "elbow", "wrist") for side in "lr")
 """The joints that are compared."""

@@ -7,10 +7,10 @@ from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 import pyarrow as pa
 
 from kinedex.catalog.features import FeatureSet
+from kinedex.ops.arrays import F64, Bool
 from kinedex.ops.body.kinematic_chain import ChainBody, Poses, forward, rotation_of, vector_of
 from kinedex.ops.body.kinematics import quaternions
 from kinedex.ops.intervals import in_seconds
@@ -20,8 +20,6 @@ from kinedex.pipelines.recordings.recorded_takes import Provenance
 from kinedex.pipelines.tracking.chain_tracker import ChainTracker, frame_figures, ray_residuals
 from kinedex.storage.formats.motion.reader import Body
 from kinedex.storage.snapshot.schemas import TRACK_FORMAT, result_schema, result_table
-
-Bool = npt.NDArray[np.bool_]
 
 TRACKED, STABILISED = "_tracked", "_stabilised"
 """The suffixes of the names of takes that were tracked from a recording, and of those that were stabilised."""
@@ -111,9 +109,6 @@ def observed_frames(seen: Bool, rate_hz: float) -> Bool:
 def stabilised_name(take: str) -> str:
     """Return the name of a take after stabilisation; the suffix of a tracked take is replaced."""
     return take.removesuffix(TRACKED) + STABILISED
-
-
-F64 = npt.NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)

@@ -7,9 +7,9 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
 from kinedex.catalog.kinematics import load_kinematic_chain, load_surface
+from kinedex.ops.arrays import F64, Bool
 from kinedex.ops.body.capsules import body_capsules
 from kinedex.ops.body.kinematic_chain import ChainBody, Poses
 from kinedex.ops.errors import KinedexError, ParameterError
@@ -34,7 +34,6 @@ from kinedex.pipelines.tracking.tracked_takes import TRACK_KINDS, TrackResult, o
 from kinedex.pipelines.tracking.tracked_takes import Track as TrackedTake
 from kinedex.storage.store.store import Store
 
-F64 = npt.NDArray[np.float64]
 ESTIMATE = "estimate"
 
 
@@ -328,6 +327,6 @@ def filled_gaps(observed: Observed) -> str:
     """Return a phrase about the gaps in a 3D track, ignoring joints that are never known."""
     if not isinstance(observed.observations, Places):
         return ""
-    known: npt.NDArray[np.bool_] = np.all(np.isfinite(observed.observations.places), axis=2)
+    known: Bool = np.all(np.isfinite(observed.observations.places), axis=2)
     gaps = int((~known[:, known.any(axis=0)]).any(axis=1).sum())
     return f"; gaps in {counted(gaps, 'frame')} filled" if gaps else ""
