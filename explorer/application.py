@@ -50,7 +50,6 @@ SUBJECTS = (
     "maps",
     "motion",
     "quality",
-    "reports",
     "runs",
     "sql",
     "store",

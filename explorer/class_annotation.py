@@ -24,9 +24,9 @@ from kinedex.pipelines.annotation.annotators import Annotator
 from kinedex.pipelines.annotation.batches import annotate_words, split_takes
 from kinedex.pipelines.annotation.methods import ThesisMethod
 from kinedex.pipelines.annotation.preparation import (
+    Preparation,
     Single,
     learned_queries,
-    prepare_annotator,
     queries_of,
     single_examples_of,
     template_words,
@@ -117,9 +117,8 @@ class PipelineMaterial:
         """
         params = self.use.params.model_copy(update={"tau_by_class": {}})
         clips = partial(self._words_of, templates)
-        made = prepare_annotator(
-            self.store, params, templates, classes, clips, Calibration(dict(taus), {}, ()), *self.queries
-        )
+        prepared = Preparation(self.store, params, classes, *self.queries)
+        made = prepared.annotator(templates, clips, Calibration(dict(taus), {}, ()))
         if not params.each_example:
             return made
         of_files = {one.subclass for one in templates if not one.clips}

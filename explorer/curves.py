@@ -18,7 +18,7 @@ from starlette.responses import Response
 
 from kinedex.explorer.addresses import get, take_of
 from kinedex.explorer.lanes import words_of_take
-from kinedex.explorer.motion import Interval, frames_of, whole_number
+from kinedex.explorer.motion import ShownFrames, frames_of, whole_number
 from kinedex.explorer.same import command_line, python_lines
 from kinedex.ops.annotation.segments import local_minima
 from kinedex.ops.distances.curve_path import curve_paths
@@ -281,14 +281,14 @@ def _example(store: Store, learned: SubclassTemplate, hit: U64) -> Row | None:
     }
 
 
-def aligned_intervals(store: Store, one: Interval, other: Interval) -> Row:
+def aligned_intervals(store: Store, one: ShownFrames, other: ShownFrames) -> Row:
     """Align two intervals by DTW of their words: return for each frame of the first the frame of the second.
 
     Parameters
     ----------
     store : Store
         The store of the takes.
-    one, other : Interval
+    one, other : ShownFrames
         The intervals, each of at most `MOST_ALIGNED` frames.
 
     Returns
@@ -384,7 +384,7 @@ def _hit(archive: Archive, request: Request) -> Row:
 def _align(archive: Archive, request: Request) -> Row:
     store = archive.store()
     one, other = (
-        Interval(*(whole_number(request, f"{side}{name}") for name in ("take", "start", "stop")))
+        ShownFrames(*(whole_number(request, f"{side}{name}") for name in ("take", "start", "stop")))
         for side in ("", "other_")
     )
     parts = ", ".join(f"store[{each.take_id}][{each.start}:{each.stop}].words()" for each in (one, other))

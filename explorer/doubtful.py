@@ -16,10 +16,10 @@ from kinedex.explorer.addresses import Question, post
 from kinedex.explorer.labels import stage_of
 from kinedex.explorer.same import command_line, python_lines
 from kinedex.ops.errors import KinedexError
+from kinedex.ops.intervals import TakeSegment
 from kinedex.pipelines.labels.selection import Selection, least_confident_first, selected
 from kinedex.pipelines.templates.learning import read_templates
 from kinedex.pipelines.templates.nearest_examples import nearest_examples
-from kinedex.reports.data import Segment
 from kinedex.storage.duck import quote
 from kinedex.storage.store.store import Store, data_frame
 
@@ -128,7 +128,7 @@ def _nearest(store: Store, stage: str, rows: list[Row]) -> dict[tuple[str, str, 
     except KinedexError:
         return {}
     hits = [
-        Segment(row["take"], row["class"], row["start"], row["stop"], subclass=row["subclass"])
+        TakeSegment(row["take"], row["class"], row["start"], row["stop"], subclass=row["subclass"])
         for row in rows
         if row["take"] in store.take_ids
     ]

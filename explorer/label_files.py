@@ -18,19 +18,16 @@ from kinedex.explorer.addresses import Question, post
 from kinedex.explorer.same import command_line
 from kinedex.ops.errors import ConflictError, KinedexError
 from kinedex.ops.local_paths import refuse_addresses
-from kinedex.pipelines.annotation.labels import annotate_stage, labels_kept, labels_of
+from kinedex.pipelines.annotation.tables import annotate_stage
 from kinedex.pipelines.labels.decisions import (
-    Proposed,
+    counts_of,
+    import_labels,
     new_rows,
-    proposed_corrections,
-    proposed_label_corrections,
     proposed_labels,
-    record,
 )
-from kinedex.pipelines.labels.label_files import label_files
+from kinedex.pipelines.labels.label_files import label_files, labels_kept, labels_of
 from kinedex.storage.formats.labels.formats import FORMATS, write_labels
 from kinedex.storage.formats.labels.segments import LabelFile
-from kinedex.storage.store.store import Store
 
 if TYPE_CHECKING:
     from starlette.requests import Request
@@ -64,14 +61,14 @@ def read_files(archive: Archive, asked: FilesQuestion, _request: Request) -> Row
     """Return the changes to labels that an import of the files would make, without recording them."""
     store = archive.store()
     files, checksum = _files(asked)
-    proposed = _proposed(store, files, asked)
+    proposed = proposed_labels(store, files, asked.corrects, asked.stage)
     rows, known = new_rows(store, proposed.rows)
     standing = {row["id"]: row for row in store.labels().to_pylist()}
     return {
         "checksum": checksum,
         "files": [file.path for file in files],
         "known": known,
-        "counts": _counts(rows),
+        "counts": counts_of(rows),
         "remarks": list(proposed.remarks),
         "total": len(rows),
         "rows": [_difference(row, standing) for row in rows[:MOST_ROWS]],
@@ -86,8 +83,7 @@ def import_files(archive: Archive, asked: ImportQuestion, _request: Request) -> 
     if checksum != asked.checksum:
         raise ConflictError("a file has changed since its differences were shown; read the files again")
     annotator = (asked.annotator or "").strip() or None
-    proposed = _proposed(store, files, asked, annotator=annotator)
-    done = record(store, proposed.rows, proposed.remarks)
+    done = import_labels(store, files, asked.corrects, asked.stage, annotator=annotator)
     archive.labels_changed()
     return {
         "counts": done.counts,
@@ -110,23 +106,6 @@ def _files(asked: FilesQuestion) -> tuple[list[LabelFile], str]:
     files = label_files(paths)
     text = repr([(file.path, file.takes, file.segments, file.covered) for file in files])
     return files, hashlib.sha256(text.encode("utf-8", "surrogateescape")).hexdigest()
-
-
-def _proposed(store: Store, files: list[LabelFile], asked: FilesQuestion, **more: str | None) -> Proposed:
-    if asked.corrects == "annotations":
-        return proposed_corrections(store, files, asked.stage, **more)
-    if asked.corrects == "labels":
-        return proposed_label_corrections(store, files, **more)
-    return proposed_labels(store, files, **more)
-
-
-def _counts(rows: list[Row]) -> dict[str, int]:
-    found: dict[str, int] = {}
-    for row in rows:
-        own = {"withdrawn": "removed", "negative": "without errors" if row["origin"] == "imported" else "rejected"}
-        name = str(own.get(row["verdict"], row["origin"]))
-        found[name] = found.get(name, 0) + 1
-    return found
 
 
 def _difference(row: Row, standing: dict[str, Row]) -> Row:

@@ -29,10 +29,11 @@ from kinedex.explorer.jobs import FOLDER, Job, NoQuestion, jobs_of, run_words
 from kinedex.explorer.labels import stage_of
 from kinedex.explorer.same import command_line
 from kinedex.ops.errors import ConflictError, KinedexError, StoreError
-from kinedex.pipelines.annotation.labels import annotate_stage
-from kinedex.pipelines.labels.segments import Difference, Segment, differences
+from kinedex.pipelines.annotation.tables import annotate_stage
+from kinedex.pipelines.labels.segments import Difference, differences, segment_of
 from kinedex.pipelines.templates.examples import CLIPS, LABELS
 from kinedex.storage.disk import replace_file, write_errors
+from kinedex.storage.formats.labels.segments import ManualSegment
 from kinedex.storage.snapshot.shown_results import current_pipeline
 from kinedex.storage.store.store import Store, open_store
 
@@ -250,28 +251,25 @@ def changes(archive: Archive, _request: Request) -> Row:
     return {
         "last": last,
         "counts": dict(Counter(one.change for one in found)),
-        "takes": len({row["take"] for row in map(_names, found)}),
+        "takes": len({one.shown.take for one in found}),
         "total": len(found),
         "rows": rows,
         "current": current_pipeline(archive.store().manifest),
     }
 
 
-def _names(one: Difference) -> Row:
-    shown = one.after or one.before
-    assert shown is not None
-    return {"take": shown.take, "class": shown.label, "start": int(shown.start), "stop": int(shown.stop)}
-
-
 def _row(one: Difference, ids: dict[str, int]) -> Row:
-    before = one.before and {"class": one.before.label, "start": int(one.before.start), "stop": int(one.before.stop)}
-    named = _names(one)
-    return {**named, "take_id": ids.get(named["take"]), "change": one.change, "before": before}
+    def place(segment: ManualSegment) -> Row:
+        return {"class": segment.label, "start": int(segment.start), "stop": int(segment.stop)}
+
+    take = one.shown.take
+    named = {"take": take, **place(one.shown), "take_id": ids.get(take), "change": one.change}
+    return {**named, "before": one.before and place(one.before)}
 
 
-def _segments(store: Store, stage: str) -> list[Segment]:
+def _segments(store: Store, stage: str) -> list[ManualSegment]:
     rows = store.result("annotations", run=store.manifest.stages[annotate_stage(store, stage)].run)
-    return [Segment(row["take"], row["class"], row["start"], row["stop"]) for row in rows.to_pylist()]
+    return list(map(segment_of, rows.to_pylist()))
 
 
 def undo(archive: Archive, _asked: NoQuestion, _request: Request) -> Row:

@@ -73,7 +73,7 @@ _HEADER = struct.Struct("<4s4I5f8x")
 
 
 @dataclass(frozen=True)
-class Interval:
+class ShownFrames:
     """The frames [start, stop) of a take."""
 
     take_id: int
@@ -116,7 +116,7 @@ class PositionCache:
             self._keep(self._key(store, missing[name]), read)
             yield missing[name], read
 
-    def intervals(self, store: Store, items: Sequence[Interval]) -> Iterator[tuple[int, F32]]:
+    def intervals(self, store: Store, items: Sequence[ShownFrames]) -> Iterator[tuple[int, F32]]:
         """Yield the index and the positions of each interval, in any order; of takes not cached, only it is read."""
         missing = []
         for place, one in enumerate(items):
@@ -267,7 +267,7 @@ def packed(positions: npt.NDArray[np.floating], rate_hz: float, first: int = 0, 
     return header + numbers.astype("<i2").tobytes()
 
 
-def figures(cache: PositionCache, store: Store, items: Sequence[Interval], frames: int) -> bytes:
+def figures(cache: PositionCache, store: Store, items: Sequence[ShownFrames], frames: int) -> bytes:
     """Return many small motions in one answer, in the format that the module describes.
 
     Parameters
@@ -276,7 +276,7 @@ def figures(cache: PositionCache, store: Store, items: Sequence[Interval], frame
         The cache of joint positions.
     store : Store
         The store of the takes.
-    items : sequence of Interval
+    items : sequence of ShownFrames
         The intervals, at most `MOST_FIGURES`; the answer has their order.
     frames : int
         Most stored frames of a figure, from 1 on: of a longer interval every second frame is sent, or every third, …
@@ -389,7 +389,7 @@ def _motion(archive: Archive, request: Request) -> Response:
 
 
 def _figures(archive: Archive, asked: FiguresQuestion, _request: Request) -> Response:
-    items = [Interval(one.take_id, one.start, one.stop) for one in asked.items]
+    items = [ShownFrames(one.take_id, one.start, one.stop) for one in asked.items]
     return Response(figures(POSITIONS, archive.store(), items, asked.frames), media_type="application/octet-stream")
 
 

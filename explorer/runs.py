@@ -1,4 +1,4 @@
-"""Runs of pipelines: the list of pipelines, the plan of a run, its start, the history, and the comparison of metrics.
+"""Runs of pipelines: the list of pipelines, the plan of a run, its start, the history, its reports, and the metrics.
 
 `GET /api/pipelines` → {pipelines: [{id, name, description, path, shipped, problem, settings}]}, with settings as
 {name, default, last};
@@ -8,33 +8,39 @@ seconds}], problem}, where `problem` is null or {setting, message}; `POST /api/r
 
 A pipeline is a shipped one, or one that the store has run and whose file still exists. Settings are the texts of
 `--set`; the code that reads pipeline files checks them before a job begins, and they are words of an argument list.
+
+`GET /api/reports/NAME` answers with a file that a stage wrote. A report is a page with inline scripts over names that
+anybody may have chosen. It gets an origin of its own by its content policy, so that its scripts have neither the cookie
+of the explorer nor an answer of the server.
 """
 
 from __future__ import annotations
 
 import re
+from collections import defaultdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import yaml
 from pydantic import Field
+from starlette.responses import FileResponse
 
 from kinedex.catalog.configs import config_names, config_path, load_yaml, shipped_configs
 from kinedex.explorer.addresses import Question, get, post
 from kinedex.explorer.answers import NotFoundError
 from kinedex.explorer.jobs import Job, jobs_of, run_words
-from kinedex.explorer.reports import report_names
 from kinedex.explorer.same import command_line, same_query
 from kinedex.ops.errors import ConfigError, KinedexError
 from kinedex.pipelines.engine.config import Pipeline, load_pipeline
 from kinedex.pipelines.engine.plan import Step, make_plan
 from kinedex.storage.snapshot.shown_results import pipeline_runs
-from kinedex.storage.store.history import PipelineRun, list_runs
+from kinedex.storage.store.history import PipelineRun, list_runs, refuse_damaged_report
 
 if TYPE_CHECKING:
     from starlette.requests import Request
 
     from kinedex.explorer.archive import Archive
+
 
 Row = dict[str, Any]
 
@@ -211,10 +217,72 @@ def compare(archive: Archive, _request: Request) -> Row:
     return {"rows": archive.store().sql(METRICS).to_pylist(), **same_query(archive, METRICS)}
 
 
+FOLDER = "results/reports"
+"""The folder of the store with the files that stages write beside their results."""
+
+POLICY = (
+    "sandbox allow-scripts; default-src 'none'; script-src 'unsafe-inline'; style-src 'unsafe-inline'; "
+    "img-src data: blob:; font-src data:; base-uri 'none'; form-action 'none'; frame-ancestors 'none'"
+)
+"""The content policy of a report: inline scripts in an origin of its own, and nothing loaded from anywhere."""
+
+TYPES = {
+    ".html": "text/html",
+    ".json": "application/json",
+    ".csv": "text/csv",
+    ".md": "text/plain",
+    ".txt": "text/plain",
+}
+"""A dict from file extension to media type; files with other extensions are sent as downloads."""
+
+
+def report_names(archive: Archive) -> dict[tuple[str, str], list[str]]:
+    """Return a dict from (stage, stage run) to the files that it wrote, relative to the folder of reports."""
+    found: dict[tuple[str, str], list[str]] = defaultdict(list)
+    for key, record in archive.store().manifest.stages.items():
+        for name in record.summary.get("files", ()):
+            if isinstance(name, str) and name.startswith(f"{FOLDER}/"):
+                found[key, record.run].append(name.removeprefix(f"{FOLDER}/"))
+    return dict(found)
+
+
+def report_file(archive: Archive, name: str) -> Path:
+    """Return the path of a report.
+
+    Raises
+    ------
+    NotFoundError
+        No stage of the store has written a file of this name, or the file is gone or leads out of the folder.
+    StoreError
+        The file is not as its stage wrote it.
+    """
+    folder = (archive.path / FOLDER).resolve()
+    path = (folder / name).resolve()
+    is_known = any(name in names for names in report_names(archive).values())
+    if not is_known or not path.is_relative_to(folder) or not path.is_file():
+        raise NotFoundError(f"no report of this store has the name {name}; the page Runs lists those that there are")
+    refuse_damaged_report(path)
+    return path
+
+
+def send_report(archive: Archive, request: Request) -> FileResponse:
+    """Return the response with the file of a report."""
+    path = report_file(archive, request.path_params["name"])
+    kind = TYPES.get(path.suffix.lower())
+    headers = {
+        "content-security-policy": POLICY,
+        "cross-origin-opener-policy": "unsafe-none",  # browsers block a sandboxed page with any other
+        "cache-control": "no-store",
+    }
+    saved_as = None if kind else path.name
+    return FileResponse(path, headers=headers, media_type=kind or "application/octet-stream", filename=saved_as)
+
+
 routes = [
     get("/api/pipelines", list_pipelines),
     get("/api/runs", list_history),
     get("/api/runs/metrics", compare),
+    get("/api/reports/{name:path}", send_report),
     post("/api/runs/plan", plan, RunQuestion),
     post("/api/runs", start, RunQuestion, writes=True),
 ]

@@ -1,4 +1,4 @@
-"""An interval is a range of frames of a take; its frames become seconds, and seconds frames, by the functions here.
+"""An interval is a range of frames of a take, a segment an interval with a class; both count frames of the analysis.
 
 A frame begins at frame / rate seconds, so frame 0 begins at 0. Stored and computed seconds are never rounded. Shown
 ones are rounded to hundredths, and times that somebody enters to the nearest frame, halves upwards in both.
@@ -7,6 +7,7 @@ ones are rounded to hundredths, and times that somebody enters to the nearest fr
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass
 from typing import Any, NamedTuple, overload
 
 import numpy as np
@@ -36,6 +37,52 @@ class Interval(NamedTuple):
     def overlaps(self, other: Interval) -> bool:
         """Return whether both have a frame in common."""
         return self.take == other.take and self.start < other.stop and other.start < self.stop
+
+
+@dataclass(frozen=True)
+class TakeSegment:
+    """An interval of a take with a class, which a method found or a person marked.
+
+    The form of many is a table: results of the kind `annotations`, or labels (`storage.snapshot.schemas`). Methods
+    count classes and templates by numbers, in a `Segment` (`ops.annotation.segments`).
+
+    Parameters
+    ----------
+    take : str
+        The name of the take.
+    label : str
+        The class.
+    start, stop : int
+        The first frame, and the frame after the last.
+    cost : float, optional
+        The distance from the template; None if a person marked the segment.
+    subclass : str, optional
+        The subclass of the template.
+    confidence : float, optional
+        The probability that the class is right, from 0 to 1.
+    doubted : str, optional
+        The classes that another method found there in place of this one, or "nothing"; None if both agree, or there is
+        no other method.
+    """
+
+    take: str
+    label: str
+    start: int
+    stop: int
+    cost: float | None = None
+    subclass: str | None = None
+    confidence: float | None = None
+    doubted: str | None = None
+
+    @property
+    def key(self) -> tuple[str, str, int, int]:
+        """Return take, class, start and stop."""
+        return self.take, self.label, self.start, self.stop
+
+    @property
+    def interval(self) -> Interval:
+        """Return the interval."""
+        return Interval(self.take, self.start, self.stop)
 
 
 @overload
@@ -80,3 +127,16 @@ def shown_seconds(frames: float, rate_hz: float, digits: int = 2) -> str:
 def nearest_frame(seconds: float, rate_hz: float) -> int:
     """Return the frame that begins nearest to a time in seconds, the later of two that are equally near."""
     return math.floor(seconds * rate_hz + 0.5)
+
+
+def analysis_frame(source_frame: int, source_rate_hz: float, rate_hz: float) -> int:
+    """Return the first analysis frame at or after a source frame: ceil(source_frame · rate / source_rate)."""
+    return math.ceil(round(source_frame * rate_hz / source_rate_hz, 9))
+
+
+def source_frame(frame: int, source_rate_hz: float, rate_hz: float, frames: int) -> int:
+    """Return the last source frame at or before an analysis frame, at most the number of source frames.
+
+    `analysis_frame` is its inverse, unless the source rate is below the analysis rate.
+    """
+    return min(math.floor(round(frame * source_rate_hz / rate_hz, 9)), frames)

@@ -13,19 +13,9 @@ import pyarrow as pa
 
 from kinedex.catalog.features import FeatureSet
 from kinedex.ops.errors import KinedexError, did_you_mean
+from kinedex.ops.intervals import TakeSegment
 from kinedex.pipelines.templates.examples import interval_of
-from kinedex.reports.data import (
-    Curve,
-    Failure,
-    FeatureNames,
-    HitCount,
-    ReportData,
-    Score,
-    Segment,
-    StageRow,
-    TakeRow,
-    Template,
-)
+from kinedex.reports.data import Curve, Failure, FeatureNames, HitCount, ReportData, Score, StageRow, TakeRow, Template
 from kinedex.reports.reproduction import command
 from kinedex.reports.take_groups import take_groups
 from kinedex.reports.take_selection import median_take
@@ -243,7 +233,7 @@ def _warnings(takes: pl.DataFrame) -> tuple[tuple[str, str], ...]:
     return tuple((name, text) for name, texts in takes.select("name", "warnings").iter_rows() for text in texts or ())
 
 
-def _automatic(frame: pl.DataFrame, others: pl.DataFrame | None) -> tuple[Segment, ...]:
+def _automatic(frame: pl.DataFrame, others: pl.DataFrame | None) -> tuple[TakeSegment, ...]:
     """Return annotations as segments, with the classes that another method found instead where it disagrees."""
     found: dict[str, list[tuple[str, int, int]]] = {}
     for take, *one in others.select("take", "class", "start", "stop").iter_rows() if others is not None else ():
@@ -254,13 +244,13 @@ def _automatic(frame: pl.DataFrame, others: pl.DataFrame | None) -> tuple[Segmen
         there = [name for name, begin, end in found.get(take, ()) if begin < stop and start < end]
         doubted = None if others is None or label in there else ", ".join(sorted(set(there))) or "nothing"
         cost, sure = (None if value is None or np.isnan(value) else value for value in (row["cost"], row["confidence"]))
-        segments.append(Segment(take, label, start, stop, cost, row["subclass"], sure, doubted))
+        segments.append(TakeSegment(take, label, start, stop, cost, row["subclass"], sure, doubted))
     return tuple(segments)
 
 
-def _manual(frame: pl.DataFrame) -> tuple[Segment, ...]:
+def _manual(frame: pl.DataFrame) -> tuple[TakeSegment, ...]:
     return tuple(
-        Segment(*row)
+        TakeSegment(*row)
         for row in frame.sort("take", "start", "stop", "class").select("take", "class", "start", "stop").iter_rows()
     )
 

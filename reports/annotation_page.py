@@ -12,14 +12,14 @@ from importlib import resources
 from jinja2 import Environment
 from markupsafe import Markup
 
+from kinedex.ops.intervals import TakeSegment
 from kinedex.ops.wording import counted, digits
 from kinedex.pipelines.evaluation.confusion import confusion
-from kinedex.pipelines.evaluation.grid import Segment as Annotated
-from kinedex.pipelines.evaluation.test_takes import TestTake
+from kinedex.pipelines.evaluation.folds import TestTake
 from kinedex.reports.archive_strip import archive_strip
 from kinedex.reports.cards import Card, card, readable, rules
 from kinedex.reports.curves import HEIGHT, CurveFigure, curve_figure, y_ticks
-from kinedex.reports.data import ReportData, Score, Segment
+from kinedex.reports.data import ReportData, Score
 from kinedex.reports.method_figures import ConfusionTable, confusion_table
 from kinedex.reports.motions import Motions, motions_json, script_json
 from kinedex.reports.overview import (
@@ -62,7 +62,7 @@ def shown_takes(data: ReportData, takes: Sequence[str] | None = None, max_takes:
     return choose_takes(names, f1, findings=findings_of(data.automatic), wanted=takes, max_takes=max_takes)
 
 
-def hits_to_play(data: ReportData) -> list[Segment]:
+def hits_to_play(data: ReportData) -> list[TakeSegment]:
     """Return the segments that a page must play: moving figures of its first screen, and the first to be reviewed."""
     return [*surest(data.automatic), *most_doubtful(data.automatic), *in_order(data.automatic)[:LOOKS]]
 
@@ -217,17 +217,13 @@ def confusion_of(data: ReportData, labels: Sequence[str]) -> ConfusionTable | No
     judged = set(data.take_scores()) | {one.take for one in data.manual}
     automatic, manual = by_take(data.automatic), by_take(data.manual)
     takes = [
-        TestTake(take.name, take.group, (), take.frames,
-                 tuple((one.label, one.start, one.stop) for one in manual.get(take.name, ())))
+        TestTake(take.name, take.group, (), take.frames, tuple(manual.get(take.name, ())))
         for take in data.takes
         if take.name in judged
-    ]  # fmt: skip
+    ]
     if not takes or not data.manual:
         return None
-    outcome = {
-        take.name: [Annotated(one.label, one.start, one.stop, 1.0) for one in automatic.get(take.name, ())]
-        for take in takes
-    }
+    outcome = {take.name: automatic.get(take.name, []) for take in takes}
     numbers = {label: place + 1 for place, label in enumerate(labels)}
     return confusion_table(confusion(outcome, takes, labels), numbers)
 
@@ -262,9 +258,9 @@ def cards_of(data: ReportData, delta: float) -> list[Card]:
     return [card(template, delta, rate_hz) for template in ordered]
 
 
-def by_take(segments: Sequence[Segment]) -> dict[str, list[Segment]]:
+def by_take(segments: Sequence[TakeSegment]) -> dict[str, list[TakeSegment]]:
     """Group segments by take, in the order of their starts."""
-    grouped: dict[str, list[Segment]] = {}
+    grouped: dict[str, list[TakeSegment]] = {}
     for segment in sorted(segments, key=lambda s: (s.take, s.start, s.stop, s.label)):
         grouped.setdefault(segment.take, []).append(segment)
     return grouped

@@ -8,9 +8,10 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
+from kinedex.ops.intervals import TakeSegment
 from kinedex.ops.wording import counted
 from kinedex.reports.axes import percent
-from kinedex.reports.data import Segment, TakeRow
+from kinedex.reports.data import TakeRow
 from kinedex.reports.take_groups import by_group
 
 BINS = 1000
@@ -68,14 +69,14 @@ class ArchiveStrip:
     takes: tuple[tuple[str, float, float], ...]
 
 
-def archive_strip(takes: Sequence[TakeRow], segments: Sequence[Segment], slots: Mapping[str, int]) -> ArchiveStrip:
+def archive_strip(takes: Sequence[TakeRow], segments: Sequence[TakeSegment], slots: Mapping[str, int]) -> ArchiveStrip:
     """Lay out an archive on one time axis.
 
     Parameters
     ----------
     takes : sequence of TakeRow
         The takes, with their groups.
-    segments : sequence of Segment
+    segments : sequence of TakeSegment
         Segments of these takes.
     slots : mapping of str to int
         Colour of each class; its order is the order of the lanes.

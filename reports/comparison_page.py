@@ -5,8 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from kinedex.ops.wording import digits
-from kinedex.pipelines.evaluation.difference_tables import HEADER, VERDICTS, remarks, settings, signed
-from kinedex.pipelines.evaluation.differences import Comparison
+from kinedex.pipelines.evaluation.differences import HEADER, VERDICTS, Comparison, remarks, settings, signed
 from kinedex.reports.page_environment import page_environment
 
 

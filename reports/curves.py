@@ -9,10 +9,10 @@ import numpy as np
 import numpy.typing as npt
 
 from kinedex.ops.annotation.segments import local_minima
-from kinedex.ops.intervals import shown_seconds
+from kinedex.ops.intervals import TakeSegment, shown_seconds
 from kinedex.ops.wording import counted
 from kinedex.reports.axes import Axis, percent, time_axis
-from kinedex.reports.data import Curve, Segment, TakeRow
+from kinedex.reports.data import Curve, TakeRow
 from kinedex.reports.timelines import Bar, bar
 
 HEIGHT = 200  # units of the vertical axis of a panel
@@ -59,8 +59,8 @@ class CurveFigure:
 def curve_figure(
     take: TakeRow,
     curves: Sequence[Curve],
-    automatic: Sequence[Segment],
-    manual: Sequence[Segment],
+    automatic: Sequence[TakeSegment],
+    manual: Sequence[TakeSegment],
     slots: Mapping[str, int],
     tau: float | None,
 ) -> CurveFigure:
@@ -72,7 +72,7 @@ def curve_figure(
         The take; every curve has one cost for each of its frames.
     curves : sequence of Curve
         Its curves, one for each subclass.
-    automatic, manual : sequence of Segment
+    automatic, manual : sequence of TakeSegment
         Its segments.
     slots : mapping of str to int
         Colour of each class; its order is the order of the panels.

@@ -9,7 +9,7 @@ from datetime import datetime
 import numpy as np
 import numpy.typing as npt
 
-from kinedex.ops.intervals import in_seconds
+from kinedex.ops.intervals import TakeSegment, in_seconds
 
 
 @dataclass(frozen=True)
@@ -44,30 +44,6 @@ class TakeRow:
     def seconds(self) -> float:
         """Return the duration of the take in seconds."""
         return in_seconds(self.frames, self.rate_hz)
-
-
-@dataclass(frozen=True)
-class Segment:
-    """An interval `[start, stop)` of analysis frames of a take with a class.
-
-    Only automatic segments have `cost`, `subclass` and `confidence`, from 0 to 1. If another method did not find the
-    class, `doubted` names the classes that this method found there, or "nothing"; it is None if both methods agree, or
-    if the store has no other method.
-    """
-
-    take: str
-    label: str
-    start: int
-    stop: int
-    cost: float | None = None
-    subclass: str | None = None
-    confidence: float | None = None
-    doubted: str | None = None
-
-    @property
-    def key(self) -> tuple[str, str, int, int]:
-        """Return take, class, start and stop."""
-        return self.take, self.label, self.start, self.stop
 
 
 @dataclass(frozen=True)
@@ -177,8 +153,8 @@ class ReportData:
     archive_takes: int
     archive_seconds: float
     takes: tuple[TakeRow, ...]
-    automatic: tuple[Segment, ...] = ()
-    manual: tuple[Segment, ...] = ()
+    automatic: tuple[TakeSegment, ...] = ()
+    manual: tuple[TakeSegment, ...] = ()
     delta: float | None = None
     tau: float | None = None
     method: str | None = None

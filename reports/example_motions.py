@@ -4,9 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
+from kinedex.ops.intervals import TakeSegment
 from kinedex.pipelines.engine.display import Progress, no_progress
 from kinedex.pipelines.templates.nearest_examples import Key, nearest_examples
-from kinedex.reports.data import Segment, Template
+from kinedex.reports.data import Template
 from kinedex.reports.motions import MOST_BYTES, Motions
 from kinedex.storage.store.store import Store
 
@@ -17,8 +18,8 @@ MOST_PIECES = 500
 def with_hits(
     store: Store,
     motions: Motions,
-    hits: Sequence[Segment],
-    others: Sequence[Segment],
+    hits: Sequence[TakeSegment],
+    others: Sequence[TakeSegment],
     templates: Sequence[Template],
     progress: Progress = no_progress,
 ) -> tuple[Motions, dict[Key, int]]:
@@ -30,9 +31,9 @@ def with_hits(
         The store of the takes and the clips.
     motions : Motions
         The motions of the page.
-    hits : sequence of Segment
+    hits : sequence of TakeSegment
         Segments that the page must be able to play.
-    others : sequence of Segment
+    others : sequence of TakeSegment
         Further segments of the page; the motions of as many as fit are added, of the first `MOST_PIECES` at most.
     templates : sequence of Template
         Learned templates, with the names of their clips.

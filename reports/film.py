@@ -13,6 +13,7 @@ from PIL import Image, ImageColor, ImageDraw, ImageFont
 
 from kinedex.ops.body.joint_tree import JOINT_PARENTS
 from kinedex.ops.errors import KinedexError
+from kinedex.ops.intervals import shown_seconds
 from kinedex.pipelines.inspection.stick_figures import LEFT, MIDDLE, RIGHT
 from kinedex.storage.formats.motion.joint_motion import JointMotion
 
@@ -187,7 +188,7 @@ class _Film:
             pen = ImageDraw.Draw(image)
             for view, (_, across, away, sign) in enumerate(_VIEWS):
                 self._draw(pen, view, places, self.centres[i], bones, across, away, sign)
-            _write(pen, 12, _HIGH - 22, f"{i / self.rate_hz:.2f} s", 13, _TEXT)
+            _write(pen, 12, _HIGH - 22, f"{shown_seconds(i, self.rate_hz)} s", 13, _TEXT)
             yield image.reduce(_FINE)
 
     def _ground(self) -> Image.Image:

@@ -10,11 +10,11 @@ import numpy as np
 import numpy.typing as npt
 
 from kinedex.ops.evaluation.metrics import Counts
-from kinedex.ops.intervals import in_seconds, shown_seconds
+from kinedex.ops.intervals import TakeSegment, in_seconds, shown_seconds
 from kinedex.pipelines.evaluation.confusion import Confusion
+from kinedex.pipelines.evaluation.folds import TestTake
 from kinedex.pipelines.evaluation.method_scores import Outcome
 from kinedex.pipelines.evaluation.study import Threshold
-from kinedex.pipelines.evaluation.test_takes import TestTake
 from kinedex.reports.axes import Axis, percent, time_axis
 from kinedex.reports.plots import HistogramBar, histogram, line_path
 
@@ -187,13 +187,10 @@ def strips(
     A block is wrong where the other side has no segment of its class on any of its frames; the other side of manual
     segments is the first method in `outcomes`. `near` has the place of the nearest example of (class, start, stop).
     """
-    manual = sorted((start, stop, label) for label, start, stop in test_take.truth)
-    leading = next(iter(outcomes.values()))[test_take.name]
-    found = [(one.start, one.stop, one.label) for one in leading]
-    rows = [_strip("manual", manual, found, test_take, numbers, rate_hz, near or {})]
-    for name, outcome in outcomes.items():
-        own = [(one.start, one.stop, one.label) for one in outcome[test_take.name]]
-        rows.append(_strip(name, own, manual, test_take, numbers, rate_hz, near or {}))
+    manual = sorted(test_take.truth, key=lambda one: (one.start, one.stop, one.label))
+    sides = [("manual", manual, next(iter(outcomes.values()))[test_take.name])]
+    sides += [(name, outcome[test_take.name], manual) for name, outcome in outcomes.items()]
+    rows = [_strip(*side, test_take, numbers, rate_hz, near or {}) for side in sides]
     return Strips(
         title, what, test_take, tuple(rows), time_axis(max(in_seconds(test_take.frames, rate_hz), 1e-6)), dict(scores)
     )
@@ -201,19 +198,20 @@ def strips(
 
 def _strip(
     name: str,
-    segments: Sequence[tuple[int, int, str]],
-    others: Sequence[tuple[int, int, str]],
+    segments: Sequence[TakeSegment],
+    others: Sequence[TakeSegment],
     test_take: TestTake,
     numbers: Mapping[str, int],
     rate_hz: float,
     near: Mapping[tuple[str, int, int], int],
 ) -> Strip:
     blocks, words = [], []
-    for place, (start, stop, label) in enumerate(segments):
-        wrong = not any(label == other and start < end and begin < stop for begin, end, other in others)
+    for place, one in enumerate(segments):
+        label, start, stop = one.label, one.start, one.stop
+        wrong = not any(label == other.label and one.interval.overlaps(other.interval) for other in others)
         text = f"{label}, {shown_seconds(start, rate_hz)}–{shown_seconds(stop, rate_hz)} s"
         tip = f"{name}: {text}" + ("; " + ("not found" if name == "manual" else "no manual segment") if wrong else "")
-        left, right = bare_part((start, stop), [(begin, end) for begin, end, _ in segments[place + 1 :]])
+        left, right = bare_part((start, stop), [(later.start, later.stop) for later in segments[place + 1 :]])
         blocks.append(
             Block(
                 left=percent(start, test_take.frames),

@@ -15,6 +15,7 @@ from kinedex.catalog.features import FeatureSet
 from kinedex.catalog.queries.keyframe_query import Gap, KeyframeQuery, features_of
 from kinedex.catalog.queries.query_writer import pose_groups
 from kinedex.ops.body.joint_tree import JOINT_PARENTS
+from kinedex.ops.intervals import shown_seconds
 from kinedex.ops.search.gaps import UNBOUNDED
 from kinedex.reports.motions import pack
 
@@ -76,7 +77,7 @@ def player_page(take: Shown) -> str:
     data = json.dumps({"joints": joints, "parents": parents, "motions": [asdict(motion)]}).replace("<", "\\u003c")
     script = resources.files("kinedex.reports").joinpath("pages", "player.js").read_text("utf-8")
     shown = len(take.positions)
-    what = "the take" if shown == take.frames else f"the first {shown / take.rate_hz:.0f} seconds"
+    what = "the take" if shown == take.frames else f"the first {shown_seconds(shown, take.rate_hz, 0)} seconds"
     start = (
         f'<svg class="start" data-take="{escape(take.label, quote=True)}">'
         f'<rect data-start="0" data-stop="{shown}" data-what="{what}"></rect></svg>'

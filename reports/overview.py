@@ -9,7 +9,8 @@ from dataclasses import dataclass, fields
 import numpy as np
 
 from kinedex.ops.evaluation.metrics import Counts, pooled
-from kinedex.reports.data import ReportData, Score, Segment
+from kinedex.ops.intervals import TakeSegment
+from kinedex.reports.data import ReportData, Score
 from kinedex.reports.take_groups import by_group
 
 MOVING = 4
@@ -76,7 +77,7 @@ def totals(data: ReportData) -> Totals:
 def class_findings(data: ReportData) -> list[ClassFindings]:
     """Return the totals of each class, sorted by duration, the longest first; classes without segments come last."""
     rates = {take.name: take.rate_hz for take in data.takes}
-    grouped: dict[str, list[Segment]] = defaultdict(list)
+    grouped: dict[str, list[TakeSegment]] = defaultdict(list)
     for one in data.automatic:
         grouped[one.label].append(one)
     rows = []
@@ -125,22 +126,22 @@ def group_findings(data: ReportData) -> list[GroupFindings]:
     return found
 
 
-def surest(segments: Sequence[Segment], count: int = MOVING) -> list[Segment]:
+def surest(segments: Sequence[TakeSegment], count: int = MOVING) -> list[TakeSegment]:
     """Return the most confident segments, of different classes as far as there are."""
     return _of_classes(sorted(segments, key=lambda one: (-(one.confidence or 0.0), _cost(one), one.key)), count)
 
 
-def most_doubtful(segments: Sequence[Segment], count: int = MOVING) -> list[Segment]:
+def most_doubtful(segments: Sequence[TakeSegment], count: int = MOVING) -> list[TakeSegment]:
     """Return the least confident segments, of different classes as far as there are."""
     known = [one for one in segments if one.confidence is not None]
     return _of_classes(sorted(known, key=lambda one: (one.confidence, -_cost(one), one.key)), count)
 
 
-def _cost(segment: Segment) -> float:
+def _cost(segment: TakeSegment) -> float:
     return segment.cost if segment.cost is not None else 0.0
 
 
-def _of_classes(ranked: Sequence[Segment], count: int) -> list[Segment]:
+def _of_classes(ranked: Sequence[TakeSegment], count: int) -> list[TakeSegment]:
     """Return up to `count` segments: the first of each class in turn, then the second ones, in the given order."""
     seen: Counter[str] = Counter()
     rounds = []
@@ -151,7 +152,7 @@ def _of_classes(ranked: Sequence[Segment], count: int) -> list[Segment]:
     return [ranked[place] for _, place in sorted(chosen, key=lambda pair: pair[1])]
 
 
-def _labelled(segments: Sequence[Segment]) -> dict[str, int]:
+def _labelled(segments: Sequence[TakeSegment]) -> dict[str, int]:
     """Return the frames of each take that have a label, each once."""
     grouped: dict[str, list[tuple[int, int]]] = defaultdict(list)
     for one in segments:

@@ -6,7 +6,7 @@ from collections.abc import Callable, Mapping
 
 from jinja2 import Environment, PackageLoader, StrictUndefined
 
-from kinedex.pipelines.evaluation.measure_names import THESIS_NAMES
+from kinedex.pipelines.evaluation.annotation_scores import THESIS_NAMES
 
 
 def page_environment(filters: Mapping[str, Callable[..., object]] | None = None) -> Environment:

@@ -40,7 +40,7 @@ VOTES = "archive lent the pose"
 
 
 @dataclass(frozen=True)
-class Interval:
+class StripInterval:
     """Consecutive frames of a take that share a property, such as a remark.
 
     Attributes
@@ -76,7 +76,7 @@ class ReconstructedOnPage:
         Share of the frames with a pose of the database.
     bins : tuple of float
         Costs of the poses in strips, as a fraction of `MOST_COST_M`.
-    lanes : dict of str to tuple of Interval
+    lanes : dict of str to tuple of StripInterval
         Name of a lane → its intervals of frames.
     lenders : tuple of (str, int)
         Takes of the archive with the number of frames whose pose is from them.
@@ -96,7 +96,7 @@ class ReconstructedOnPage:
     seconds: float
     lent: float
     bins: tuple[float, ...]
-    lanes: Mapping[str, tuple[Interval, ...]]
+    lanes: Mapping[str, tuple[StripInterval, ...]]
     lenders: tuple[tuple[str, int], ...]
     errors: Mapping[str, Any] | None
     joints: tuple[Mapping[str, Any], ...]
@@ -233,7 +233,7 @@ def _lender(frame: Mapping[str, Any]) -> str:
 
 def _intervals(
     held: Sequence[bool], texts: Sequence[str], row: Mapping[str, Any], total: int, rate_hz: float
-) -> tuple[Interval, ...]:
+) -> tuple[StripInterval, ...]:
     """Return the runs of frames in which `held` is true, with the text of their first frame."""
     edges = np.flatnonzero(np.diff(np.concatenate([[False], np.asarray(held, np.bool_), [False]]).astype(np.int8)))
     found = []
@@ -242,7 +242,7 @@ def _intervals(
         stop = max(start + 1, min(round(last * rate_hz / row["rate_hz"]), total))
         frames = f"frame {first}" if last == first + 1 else f"frames {first} to {last - 1}"
         found.append(
-            Interval(
+            StripInterval(
                 start, stop, 100 * first / len(held), 100 * (last - first) / len(held), f"{frames}: {texts[first]}"
             )
         )

@@ -9,7 +9,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from kinedex.ops.evaluation.reliability import Bucket, auroc, brier, reliability
-from kinedex.reports.data import ReportData, Segment
+from kinedex.ops.intervals import TakeSegment
+from kinedex.reports.data import ReportData
 
 SIDE = 200.0
 """The width and the height of the diagram, in SVG units."""
@@ -84,7 +85,7 @@ def reliability_figure(data: ReportData) -> ReliabilityFigure | None:
     return ReliabilityFigure(bars, len(known), int(right.sum()), auroc(confidences, right), brier(confidences, right))
 
 
-def _is_right(one: Segment, manual: Iterable[tuple[int, int]]) -> bool:
+def _is_right(one: TakeSegment, manual: Iterable[tuple[int, int]]) -> bool:
     covered = np.zeros(one.stop - one.start, np.bool_)
     for start, stop in manual:
         covered[max(start - one.start, 0) : max(stop - one.start, 0)] = True

@@ -8,8 +8,9 @@ from dataclasses import dataclass
 import polars as pl
 from markupsafe import Markup
 
+from kinedex.ops.intervals import TakeSegment
 from kinedex.pipelines.labels.selection import least_confident_first
-from kinedex.reports.data import ReportData, Segment
+from kinedex.reports.data import ReportData
 from kinedex.reports.motions import Motions, script_json
 from kinedex.storage.formats.csv_tables import csv_line
 
@@ -38,21 +39,21 @@ class SegmentList:
     ----------
     total : int
         Number of all segments.
-    shown : tuple of Segment
+    shown : tuple of TakeSegment
         Those on the page, the least confident first.
-    looks : tuple of Segment
+    looks : tuple of TakeSegment
         The first of them, which the page proposes to review first.
     rows_json : Markup
         The rows for the page's script.
     """
 
     total: int
-    shown: tuple[Segment, ...]
-    looks: tuple[Segment, ...]
+    shown: tuple[TakeSegment, ...]
+    looks: tuple[TakeSegment, ...]
     rows_json: Markup
 
 
-def in_order(segments: Sequence[Segment]) -> list[Segment]:
+def in_order(segments: Sequence[TakeSegment]) -> list[TakeSegment]:
     """Return segments in the order of review, the least confident first."""
     rows = [(*one.key, one.confidence, place) for place, one in enumerate(segments)]
     schema = {"take": pl.String, "class": pl.String, "start": pl.Int64, "stop": pl.Int64,

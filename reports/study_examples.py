@@ -10,8 +10,8 @@ import numpy as np
 from kinedex.ops.templates.nearest_clip import nearest_clips
 from kinedex.ops.words import U64
 from kinedex.pipelines.engine.display import Progress, no_progress
+from kinedex.pipelines.evaluation.folds import TestTake
 from kinedex.pipelines.evaluation.study import SplitResult, Study, take_title
-from kinedex.pipelines.evaluation.test_takes import TestTake
 from kinedex.pipelines.templates.learning import TrainingClips
 from kinedex.pipelines.templates.nearest_examples import Example, Key, stored_clips, words_of
 from kinedex.reports.motions import Motions
@@ -73,10 +73,8 @@ def _of_take(
     named = {take_id: name for name, take_id in store.take_ids.items()}
     whole: U64 = np.concatenate([*words_of(store, [named[part] for part in take.take_ids]).values()])
     intervals: dict[str, dict[tuple[int, int], None]] = defaultdict(dict)
-    for label, start, stop in take.truth:
-        intervals[label][start, stop] = None
-    for outcome in result.outcomes.values():
-        for one in outcome[take.name]:
+    for segments in (take.truth, *(outcome[take.name] for outcome in result.outcomes.values())):
+        for one in segments:
             intervals[one.label][one.start, one.stop] = None
     found = {}
     for label, own in intervals.items():

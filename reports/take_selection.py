@@ -10,7 +10,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 from kinedex.ops.errors import KinedexError, ParameterError, did_you_mean
-from kinedex.reports.data import Segment
+from kinedex.ops.intervals import TakeSegment
 
 OPEN_ALL, OPEN = 10, 6
 """Up to `OPEN_ALL` timelines are all unfolded; of more, only the first `OPEN` are."""
@@ -51,7 +51,7 @@ class Findings:
     doubted: int
 
 
-def findings_of(segments: Iterable[Segment]) -> dict[str, Findings]:
+def findings_of(segments: Iterable[TakeSegment]) -> dict[str, Findings]:
     """Return the number, frames and confidences of the automatic segments of each take."""
     found: dict[str, Findings] = {}
     for one in segments:

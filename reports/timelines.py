@@ -5,10 +5,10 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
-from kinedex.ops.intervals import shown_seconds
+from kinedex.ops.intervals import TakeSegment, shown_seconds
 from kinedex.ops.wording import counted
 from kinedex.reports.axes import Axis, percent, time_axis
-from kinedex.reports.data import Score, Segment, TakeRow
+from kinedex.reports.data import Score, TakeRow
 
 
 @dataclass(frozen=True)
@@ -52,8 +52,8 @@ class Timeline:
 
 def timeline(
     take: TakeRow,
-    automatic: Sequence[Segment],
-    manual: Sequence[Segment],
+    automatic: Sequence[TakeSegment],
+    manual: Sequence[TakeSegment],
     slots: Mapping[str, int],
     score: Score | None = None,
     near: Mapping[tuple[str, str, int, int], int] | None = None,
@@ -66,7 +66,7 @@ def timeline(
     ----------
     take : TakeRow
         The take; every segment must lie in it.
-    automatic, manual : sequence of Segment
+    automatic, manual : sequence of TakeSegment
         Its segments.
     slots : mapping of str to int
         Colour of each class; its order is the order of the lanes.
@@ -100,10 +100,10 @@ def timeline(
 
 
 def bar(
-    segment: Segment,
+    segment: TakeSegment,
     take: TakeRow,
     origin: str,
-    others: Sequence[Segment] | None,
+    others: Sequence[TakeSegment] | None,
     near: Mapping[tuple[str, str, int, int], int] | None = None,
 ) -> Bar:
     """Place one segment, and describe it in its tooltip."""
@@ -120,12 +120,12 @@ def bar(
     )
 
 
-def overlap(one: Segment, other: Segment) -> bool:
+def overlap(one: TakeSegment, other: TakeSegment) -> bool:
     """Return whether two segments of one take have a common frame."""
     return one.start < other.stop and other.start < one.stop
 
 
-def tip(segment: Segment, rate_hz: float, origin: str, agrees: bool | None) -> str:
+def tip(segment: TakeSegment, rate_hz: float, origin: str, agrees: bool | None) -> str:
     """Describe a segment in one line."""
     seconds = f"{shown_seconds(segment.start, rate_hz)}–{shown_seconds(segment.stop, rate_hz)} s"
     text = f"{segment.label}, {origin}: {seconds}, frames [{segment.start}, {segment.stop})"

@@ -95,16 +95,17 @@ class Study:
         ]
         classes = load_classes(OWN, set(groups))
 
-        def make(templates: Sequence[SubclassTemplate], some: Sequence[TrainingClips], *_: object) -> Annotator:
+        def make(some: Sequence[TrainingClips], *_: object) -> Annotator:
             chosen, words = annotation_method(method), [words for one in some for words in one.words]
+            templates = self.learn(some)
             return make_annotator(self.feature_set, templates, classes, DELTA, TAU, method=chosen, clips=lambda: words)
 
-        made = make(self.learn(clips), clips)
+        made = make(clips)
         if not calibrated:
             return made
         actors: dict[str, str | None] = {names[id(clip)]: clip.group for clip in trial.clips}
         target = Target([len(one.words) for one in trial.takes], [one.actor for one in trial.takes])
-        found = calibrate_confidence(clips, actors, classes, method, target, self.learn, make, self.executor)
+        found = calibrate_confidence(clips, actors, classes, method, target, make, self.executor)
         return replace(made, confidence=found.confidence)
 
     def rows(self, trial: Trial, method: str) -> Iterator[dict[str, object]]:

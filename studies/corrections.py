@@ -173,8 +173,7 @@ def with_confidence(
         load_classes(OWN, {one.subclass for one in clips}),
         "best",
         Target([len(one.words) for one in pool], [one.actor for one in pool]),
-        lambda some: learned(store, some, executor),
-        lambda templates, *_: annotator(store, templates, person, "best"),
+        lambda some, _: annotator(store, learned(store, some, executor), person, "best"),
         executor,
     )
     return replace(made, confidence=found.confidence)

@@ -24,12 +24,12 @@ import polars as pl
 from kinedex.catalog.classes import OWN, Classes, load_classes
 from kinedex.ops.evaluation.detection import bootstrap
 from kinedex.ops.evaluation.metrics import Counts, compare, pooled
+from kinedex.ops.intervals import analysis_frame
 from kinedex.ops.words import U64, TakeWords
 from kinedex.pipelines.annotation.annotators import make_annotator
 from kinedex.pipelines.annotation.batches import annotate_words
 from kinedex.pipelines.annotation.methods import annotation_method
 from kinedex.pipelines.engine.executors import Executor, make_executor
-from kinedex.pipelines.evaluation.ground_truth import analysis_frame
 from kinedex.pipelines.templates.learning import SubclassTemplate, TrainingClips, learn_templates
 from kinedex.storage.formats.labels.formats import read_labels
 from kinedex.storage.store.store import Store, open_store

@@ -6,6 +6,7 @@ commands → explorer → library → console → reports → pipelines → stor
 from __future__ import annotations
 
 import ast
+import re
 from collections.abc import Container
 from functools import cache
 from pathlib import Path
@@ -200,3 +201,29 @@ def test_every_way_to_import_counts_in_a_circle(source: str) -> None:
     back = imported_modules("kinedex.b", "import kinedex.a", known)
     imports = {"kinedex.a": imported_modules("kinedex.a", source, known), "kinedex.b": back}
     assert circles(imports) == {frozenset(known)}
+
+
+FORMS = {
+    "Interval": "ops/intervals.py",
+    "TakeSegment": "ops/intervals.py",
+    "Segment": "ops/annotation/segments.py",
+    "Label": "storage/formats/labels/segments.py",
+    "ManualSegment": "storage/formats/labels/segments.py",
+}
+"""The forms of an interval, a segment and a label, and their homes (docs/architecture.md)."""
+
+
+def test_each_form_of_the_field_has_one_definition() -> None:
+    classes = (
+        (node.name, path.relative_to(ROOT).as_posix())
+        for path in FILES
+        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8")))
+        if isinstance(node, ast.ClassDef)
+    )
+    assert sorted(one for one in classes if one[0] in FORMS) == sorted(FORMS.items())
+
+
+def test_seconds_of_frames_are_rounded_in_one_place() -> None:
+    rounded = re.compile(r"/ (?:[a-z_.]+\.)?rate_hz:\.\d")
+    files = [path for room in ("pipelines", "reports", "explorer", "library", "commands") for path in files_of(room)]
+    assert [path for path in files if rounded.search(path.read_text(encoding="utf-8"))] == []

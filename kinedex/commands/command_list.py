@@ -45,7 +45,7 @@ COMMANDS = {
     "explore": Listed(ASK, "explore", "Open the archive in a browser: takes, search by example, labels."),
     "export": Listed(ASK, "export", "Write takes, or clips cut out of them, as files."),
     "takes": Listed(ASK, "tables changes", "List the takes of a store: `kinedex takes STORE`; remove some."),
-    "labels": Listed(ASK, "labels labels_kept", "Keep the labels of people; write and read label files."),
+    "labels": Listed(ASK, "labels", "Keep the labels of people; write and read label files."),
     "template": Listed(ASK, "templates", "Show, compare and make motion templates."),
     "search": Listed(SEARCH, "queries", "Search for keyframe queries with the index."),
     "rank": Listed(SEARCH, "ranking", "Rank the places of an archive by how well templates fit."),

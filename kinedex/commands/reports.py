@@ -45,8 +45,7 @@ def compare(
     """
     from kinedex.console.terminal import Terminal, make_console
     from kinedex.pipelines.engine.page_files import write_page
-    from kinedex.pipelines.evaluation.difference_tables import comparison_tables, markdown
-    from kinedex.pipelines.evaluation.differences import compared, content, without_repeats
+    from kinedex.pipelines.evaluation.differences import compared, comparison_tables, content, markdown, without_repeats
     from kinedex.pipelines.evaluation.written_evaluations import pairs, read_run
     from kinedex.reports.comparison_page import comparison_page
     from kinedex.storage.formats.json_text import json_text

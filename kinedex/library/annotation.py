@@ -110,9 +110,12 @@ def annotate(
         resolved_queries(queries, chosen.feature_set, chosen.rate_hz),
         method=chosen_method,
         clips=lambda: _clips_of(given) or chosen.every_word(),
-        min_frames=least_frames(min_seconds, chosen.rate_hz),
     )
-    annotator = replace(annotator, confidence=uncalibrated(method, len(annotator.classes)))
+    annotator = replace(
+        annotator,
+        min_frames=least_frames(min_seconds, chosen.rate_hz),
+        confidence=uncalibrated(method, len(annotator.classes)),
+    )
     for remark in [*annotator.remarks, *annotator.remarks_on(chosen.known())]:
         warnings.warn(remark, stacklevel=2)
     return _table(chosen.annotate(annotator), annotator, chosen)

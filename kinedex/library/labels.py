@@ -335,18 +335,14 @@ class Labels:
         >>> store.labels.remove(made["id"]).height
         1
         """
-        from kinedex.pipelines.labels.decisions import import_corrected_labels, import_corrections, import_labels
+        from kinedex.pipelines.labels.decisions import import_labels
         from kinedex.pipelines.labels.label_files import label_files
 
         paths = [files] if isinstance(files, str) or not isinstance(files, Sequence) else files
         found = label_files([Path(path) for path in paths])
-        if corrects == "annotations":
-            return _rows(import_corrections(self._stored, found, stage, annotator=annotator, note=note))
-        if corrects == "labels":
-            return _rows(import_corrected_labels(self._stored, found, annotator=annotator, note=note))
-        if corrects is not None:
+        if corrects not in (None, "annotations", "labels"):
             raise ParameterError("corrects", '"annotations" or "labels"', corrects)
-        return _rows(import_labels(self._stored, found, annotator=annotator, note=note))
+        return _rows(import_labels(self._stored, found, corrects, stage, annotator=annotator, note=note))
 
 
 def _rows(done: Recorded) -> pl.DataFrame:

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
 from kinedex.ops.errors import ParameterError
 from kinedex.ops.evaluation.metrics import Counts
+from kinedex.ops.intervals import TakeSegment
 
 F64 = npt.NDArray[np.float64]
 
@@ -21,48 +21,13 @@ LEVEL = 0.95
 """The coverage of bootstrap intervals."""
 
 
-class Detection(NamedTuple):
-    """An automatic segment of one class.
-
-    Parameters
-    ----------
-    take : str
-        The name of the take.
-    start, stop : int
-        The half-open range of frames.
-    confidence : float
-        The confidence of the segment; higher is more certain.
-    """
-
-    take: str
-    start: int
-    stop: int
-    confidence: float
-
-
-class TrueSegment(NamedTuple):
-    """A manual segment of one class.
-
-    Parameters
-    ----------
-    take : str
-        The name of the take.
-    start, stop : int
-        The half-open range of frames.
-    """
-
-    take: str
-    start: int
-    stop: int
-
-
-def overlap(a: tuple[int, int], b: tuple[int, int]) -> float:
+def overlap(a: tuple[float, float], b: tuple[float, float]) -> float:
     """Return the intersection over union of two half-open ranges."""
     both = min(a[1], b[1]) - max(a[0], b[0])
     return max(both, 0) / (max(a[1], b[1]) - min(a[0], b[0])) if both > 0 else 0.0
 
 
-def average_precision(found: Sequence[Detection], known: Sequence[TrueSegment], threshold: float) -> float:
+def average_precision(found: Sequence[TakeSegment], known: Sequence[TakeSegment], threshold: float) -> float:
     """Return the average precision of the segments of one class.
 
     Segments are matched in order of decreasing confidence, each to the manual segment of its take that it overlaps most
@@ -71,9 +36,9 @@ def average_precision(found: Sequence[Detection], known: Sequence[TrueSegment], 
 
     Parameters
     ----------
-    found : sequence of Detection
-        The automatic segments.
-    known : sequence of TrueSegment
+    found : sequence of TakeSegment
+        The automatic segments, with their confidences.
+    known : sequence of TakeSegment
         The manual segments.
     threshold : float
         In (0, 1].
@@ -97,11 +62,11 @@ def average_precision(found: Sequence[Detection], known: Sequence[TrueSegment], 
             raise ParameterError(name, "segments with start < stop", empty[0])
     if not known:
         return math.nan
-    free: dict[str, list[TrueSegment]] = {}
+    free: dict[str, list[TakeSegment]] = {}
     for one in known:
         free.setdefault(one.take, []).append(one)
     right = np.zeros(len(found))
-    ranked = sorted(found, key=lambda one: (-one.confidence, one.take, one.start, one.stop))
+    ranked = sorted(found, key=lambda one: (-_confidence(one), one.take, one.start, one.stop))
     for place, mine in enumerate(ranked):
         candidates = free.get(mine.take, [])
         shares = [overlap((mine.start, mine.stop), (other.start, other.stop)) for other in candidates]
@@ -114,16 +79,20 @@ def average_precision(found: Sequence[Detection], known: Sequence[TrueSegment], 
     return float((best * right).sum() / len(known))
 
 
-def boundary_errors(found: Sequence[Detection], known: Sequence[TrueSegment]) -> npt.NDArray[np.int64]:
+def _confidence(one: TakeSegment) -> float:
+    return 0.0 if one.confidence is None else one.confidence
+
+
+def boundary_errors(found: Sequence[TakeSegment], known: Sequence[TakeSegment]) -> npt.NDArray[np.int64]:
     """Return the differences in frames between automatic and manual boundaries.
 
     Every manual segment is compared with the automatic one of its take that overlaps it most, if there is one.
 
     Parameters
     ----------
-    found : sequence of Detection
+    found : sequence of TakeSegment
         The automatic segments.
-    known : sequence of TrueSegment
+    known : sequence of TakeSegment
         The manual segments.
 
     Returns

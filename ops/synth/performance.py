@@ -29,7 +29,7 @@ INTERRUPTED = 0.6
 
 
 @dataclass(frozen=True)
-class Label:
+class PerformedMotion:
     """A label: source frames [start, stop) in which a class is performed."""
 
     label: str
@@ -42,7 +42,7 @@ class Performance:
     """An angle table in metres and degrees (see `ops.synth.solve.columns`), and the labels of its motions."""
 
     angles: F64
-    labels: tuple[Label, ...]
+    labels: tuple[PerformedMotion, ...]
 
 
 def motion(name: str) -> Motion:
@@ -83,7 +83,7 @@ def perform_clip(actor: Actor, name: str, number: int, seed: int) -> Performance
     score.after(0.5)
     table = _captured(score, rng)
     start, stop = _as_cut(rng, begin, end, len(table))
-    return Performance(table[start:stop], (Label(what.label, 0, stop - start),))
+    return Performance(table[start:stop], (PerformedMotion(what.label, 0, stop - start),))
 
 
 def perform_take(actor: Actor, seconds: float, number: int, seed: int) -> Performance:
@@ -181,11 +181,13 @@ def _as_cut(rng: np.random.Generator, begin: float, end: float, frames: int) -> 
     return start, min(max(stop, start + 1), frames)
 
 
-def _labels(rng: np.random.Generator, spans: list[tuple[Motion, float, float]], frames: int) -> tuple[Label, ...]:
-    labels: list[Label] = []
+def _labels(
+    rng: np.random.Generator, spans: list[tuple[Motion, float, float]], frames: int
+) -> tuple[PerformedMotion, ...]:
+    labels: list[PerformedMotion] = []
     for what, begin, end in spans:
         start, stop = _as_cut(rng, begin, end, frames)
         start = max(start, labels[-1].stop if labels else 0)
         if stop > start:
-            labels.append(Label(what.label, start, stop))
+            labels.append(PerformedMotion(what.label, start, stop))
     return tuple(labels)

@@ -121,6 +121,11 @@ class Annotator:
         )
         return restricted, chosen
 
+    def with_learned(self, queries: Sequence[KeyframeQuery], classes: Classes) -> Annotator:
+        """Return the annotator with further queries, which preselect in addition to its own and never replace them."""
+        more = _queries_of(self.subclasses, queries, classes)
+        return replace(self, queries=tuple((*own, *new) for own, new in zip(self.queries, more, strict=True)))
+
     def partly_known(self, known: Mapping[int, int]) -> list[Applicability]:
         """Return how templates and queries apply to takes that lack features; `known` has their masks by take_id."""
         templates = dict(zip(self.subclasses, self.templates, strict=True))
@@ -152,10 +157,8 @@ def make_annotator(
     delta: float,
     tau: float | Mapping[str, float],
     queries: Sequence[KeyframeQuery] = (),
-    learned: Sequence[KeyframeQuery] = (),
     method: type[AnnotationMethod] = ThesisMethod,
     clips: Callable[[], Sequence[U64]] = tuple,
-    min_frames: int = 0,
 ) -> Annotator:
     """Make an annotator: quantise the templates, and assign them and the queries to classes.
 
@@ -175,19 +178,15 @@ def make_annotator(
     queries : sequence of KeyframeQuery
         A query whose target is a subclass preselects for it, one whose target is a class for those of its subclasses
         that have no query of their own; other queries are excluded (see `targets_unknown`).
-    learned : sequence of KeyframeQuery
-        Further queries, which preselect in addition to `queries` and never replace them.
     method : type of AnnotationMethod
         The method that labels frames.
     clips : callable
         Returns the words of the training clips; called only if the method needs them.
-    min_frames : int
-        Shorter segments are dropped.
 
     Returns
     -------
     Annotator
-        An annotator with at least one template.
+        An annotator with at least one template, which keeps segments of any length.
 
     Raises
     ------
@@ -206,34 +205,34 @@ def make_annotator(
             f"at delta = {delta:g} every template is wildcards alone and would fit anything: in no column is a feature "
             "within delta of 0 or 1; raise `delta`, or learn from clips that have more in common"
         )
-    own, further = (_queries_of([one.subclass for one in used], some, of_subclass) for some in (queries, learned))
     class_index = np.array([classes.names.index(of_subclass[one.subclass]) for one in used], np.int64)
     chosen = tuple(quantised[one.subclass] for one in used)
     taus = [tau[name] if isinstance(tau, Mapping) else tau for name in classes.names]
+    subclasses = tuple(one.subclass for one in used)
     sorted_templates = ClassTemplates(
         tuple(one.learned.template for one in used), chosen, class_index, np.array(taus, np.float64)
     )
     return Annotator(
         feature_set,
         classes.names,
-        tuple(one.subclass for one in used),
+        subclasses,
         class_index,
         chosen,
-        tuple((*written, *found) for written, found in zip(own, further, strict=True)),
+        _queries_of(subclasses, queries, classes),
         method.prepare(sorted_templates, clips),
-        min_frames,
-        _remarks({one.subclass: quantised[one.subclass].fixed for one in known}),
+        remarks=_remarks({one.subclass: quantised[one.subclass].fixed for one in known}),
     )
 
 
 def _queries_of(
-    subclasses: Sequence[str], queries: Sequence[KeyframeQuery], of_subclass: Mapping[str, str]
-) -> list[tuple[KeyframeQuery, ...]]:
+    subclasses: Sequence[str], queries: Sequence[KeyframeQuery], classes: Classes
+) -> tuple[tuple[KeyframeQuery, ...], ...]:
     """Return the queries of each subclass; a subclass without its own has those of its class."""
     by_target: dict[str, list[KeyframeQuery]] = {}
     for query in queries:
         by_target.setdefault(query.target, []).append(query)
-    return [tuple(by_target.get(one) or by_target.get(of_subclass[one]) or ()) for one in subclasses]
+    of_subclass = classes.of_subclass()
+    return tuple(tuple(by_target.get(one) or by_target.get(of_subclass[one]) or ()) for one in subclasses)
 
 
 def _remarks(fixed: Mapping[str, float]) -> tuple[str, ...]:

@@ -16,9 +16,8 @@ from kinedex.ops.annotation.segments import Segment
 from kinedex.ops.distances.dtw import distance_curves
 from kinedex.ops.words import TakeWords
 from kinedex.pipelines.annotation.annotators import Annotator
-from kinedex.pipelines.annotation.example_ranges import PromisingRanges, promising_of, words_print
 from kinedex.pipelines.annotation.methods import whole_takes
-from kinedex.pipelines.annotation.single_examples import SingleExamples
+from kinedex.pipelines.annotation.single_examples import PromisingRanges, SingleExamples, promising_of, words_print
 from kinedex.pipelines.engine.executors import Executor, batches_of
 from kinedex.pipelines.search.preselection import preselect, preselect_stored, ranges_around
 from kinedex.storage.store.store import Store

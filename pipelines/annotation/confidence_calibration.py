@@ -24,7 +24,7 @@ from kinedex.pipelines.annotation.annotators import Annotator
 from kinedex.pipelines.annotation.batches import annotate_words
 from kinedex.pipelines.engine.executors import Executor
 from kinedex.pipelines.templates.examples import Rejected
-from kinedex.pipelines.templates.learning import SubclassTemplate, TrainingClips
+from kinedex.pipelines.templates.learning import TrainingClips
 
 F64 = npt.NDArray[np.float64]
 I64 = npt.NDArray[np.int64]
@@ -42,11 +42,8 @@ MOST_LAID = 16
 LEAST_SEGMENTS = 20
 """The smallest number of segments from which a confidence is learned, for a method that has no prior of its own."""
 
-Make = Callable[[Sequence[SubclassTemplate], Sequence[TrainingClips], Sequence[Rejected]], Annotator]
-"""A function that makes an annotator from templates, the clips that they were learned from, and rejected intervals."""
-
-Learn = Callable[[Sequence[TrainingClips]], list[SubclassTemplate]]
-"""A function that learns templates from clips."""
+Make = Callable[[Sequence[TrainingClips], Sequence[Rejected]], Annotator]
+"""A function that makes an annotator with templates that it learns from clips, and with rejected intervals."""
 
 
 @dataclass(frozen=True)
@@ -139,7 +136,6 @@ def calibrate_confidence(
     classes: Classes,
     method: str,
     target: Target,
-    learn: Learn,
     make: Make,
     executor: Executor,
     rejected: Sequence[Rejected] = (),
@@ -158,10 +154,8 @@ def calibrate_confidence(
         The name of the method.
     target : Target
         The takes to annotate.
-    learn : callable
-        Learns templates from clips.
     make : callable
-        Makes an annotator from templates and clips.
+        Makes an annotator from clips.
     executor : Executor
         The workers.
     rejected : sequence of Rejected, optional
@@ -182,7 +176,7 @@ def calibrate_confidence(
         shown = {of_subclass[one.subclass] for one in rest if one.subclass in of_subclass}
         theirs = [part for one in some if of_subclass.get(one.subclass) in shown and (part := one.only(names)).names]
         if theirs:
-            annotator = make(learn(rest), rest, [one for one in rejected if one.take not in names])
+            annotator = make(rest, [one for one in rejected if one.take not in names])
             refused = [(one.known, "", one.words) for one in rejected if one.take in names]
             takes = tuple(_laid_out(theirs, of_subclass, count, refused))
             parts.append(Part(annotator, prior.evidence, takes, frozenset(of_subclass.values())))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
 from functools import cache
 
 import polars as pl
@@ -16,7 +17,7 @@ from kinedex.pipelines.annotation.annotators import Annotator, make_annotator
 from kinedex.pipelines.annotation.confidence_calibration import CalibratedConfidence, Target, calibrate_confidence
 from kinedex.pipelines.annotation.parameters import CALIBRATED, AnnotationParameters, MethodParameters, least_frames
 from kinedex.pipelines.annotation.single_examples import usual_postures, with_single_examples
-from kinedex.pipelines.annotation.threshold_calibration import Calibration, calibrate
+from kinedex.pipelines.annotation.threshold_calibration import Calibration, Learn, calibrate
 from kinedex.pipelines.engine.executors import Executor
 from kinedex.pipelines.keyframes.learning import every_query
 from kinedex.pipelines.keyframes.runs import outcomes_of
@@ -81,52 +82,121 @@ def template_words(store: Store, templates: Sequence[SubclassTemplate]) -> list[
     return [store.words(takes["take_id"].to_list() if takes.height else None).best_known, *cut]
 
 
-def prepare_annotator(
-    store: Store,
-    params: MethodParameters,
-    templates: Sequence[SubclassTemplate],
-    classes: Classes,
-    clips: Callable[[], Sequence[U64]],
-    calibration: Calibration,
-    queries: Sequence[KeyframeQuery] = (),
-    learned: Sequence[KeyframeQuery] = (),
-) -> Annotator:
-    """Make the annotator of a method and its parameters.
+@dataclass(frozen=True)
+class Preparation:
+    """The settings of an annotation, from which annotators are made and calibrated.
 
-    Parameters
+    Attributes
     ----------
     store : Store
-        The store, for its features and its rate.
+        The store, for its features, its rate, and the actors of takes.
     params : MethodParameters
         The method and its parameters.
-    templates : sequence of SubclassTemplate
-        The templates, of the kind that `params` names.
     classes : Classes
         The classes to label with.
-    clips : callable
-        Returns the words of the training clips; called only if the method needs them.
-    calibration : Calibration
-        The calibrated thresholds, see `calibrated_thresholds`; those of `tau_by_class` take precedence.
     queries, learned : sequence of KeyframeQuery
         The queries from files, and the learned ones.
-
-    Raises
-    ------
-    KinedexError
-        No template can be used, or `tau_by_class` names no class.
+    single : callable, optional
+        Returns an annotator with each example as a template (`single_examples_of`).
     """
-    return make_annotator(
-        store.feature_set,
-        templates,
-        classes,
-        params.delta,
-        params.thresholds(classes.names, calibration.taus),
-        queries,
-        learned,
-        params.annotation_method,
-        clips,
-        least_frames(params.min_seconds, store.rate_hz),
-    )
+
+    store: Store
+    params: MethodParameters
+    classes: Classes
+    queries: Sequence[KeyframeQuery] = ()
+    learned: Sequence[KeyframeQuery] = ()
+    single: Single | None = None
+
+    def annotator(
+        self, templates: Sequence[SubclassTemplate], clips: Callable[[], Sequence[U64]], calibration: Calibration
+    ) -> Annotator:
+        """Make the annotator of templates.
+
+        Parameters
+        ----------
+        templates : sequence of SubclassTemplate
+            The templates, of the kind that the parameters name.
+        clips : callable
+            Returns the words of the training clips; called only if the method needs them.
+        calibration : Calibration
+            The calibrated thresholds, see `thresholds`; those of `tau_by_class` take precedence.
+
+        Raises
+        ------
+        KinedexError
+            No template can be used, or `tau_by_class` names no class.
+        """
+        params, classes = self.params, self.classes
+        taus = params.thresholds(classes.names, calibration.taus)
+        method = params.annotation_method
+        made = make_annotator(
+            self.store.feature_set, templates, classes, params.delta, taus, self.queries, method, clips
+        ).with_learned(self.learned, classes)
+        return replace(made, min_frames=least_frames(params.min_seconds, self.store.rate_hz))
+
+    def thresholds(
+        self,
+        clips: Callable[[], Sequence[TrainingClips]],
+        learn: Learn,
+        executor: Executor,
+        rejected: Callable[[], Sequence[Rejected]] = tuple,
+    ) -> Calibration:
+        """Calibrate the thresholds of classes, if the parameters require it and the method uses thresholds.
+
+        Parameters
+        ----------
+        clips : callable
+            Returns the clips to calibrate on; called only if they are needed.
+        learn : callable
+            Learns templates from clips (`template_learner`).
+        executor : Executor
+            The workers.
+        rejected : callable, optional
+            Returns the intervals that people have rejected; called only if they are needed.
+        """
+        if self.params.tau != CALIBRATED or not self.params.annotation_method.uses_thresholds:
+            return Calibration({}, {}, ())
+        return calibrate(clips(), self._actors(), self.classes, self.params.delta, learn, executor, rejected())
+
+    def confidence(
+        self,
+        clips: Sequence[TrainingClips],
+        takes: pl.DataFrame,
+        calibration: Calibration,
+        learn: Learn,
+        executor: Executor,
+        rejected: Sequence[Rejected] = (),
+    ) -> CalibratedConfidence:
+        """Learn the confidence of labels from held-out examples.
+
+        Parameters
+        ----------
+        clips : sequence of TrainingClips
+            The examples.
+        takes : polars.DataFrame
+            Rows of the takes to annotate; their lengths and actors are used.
+        calibration : Calibration
+            The thresholds, which are those of all examples.
+        learn, executor
+            See `thresholds`.
+        rejected : sequence of Rejected, optional
+            Intervals that people have rejected, if every example is a template.
+        """
+
+        def make(rest: Sequence[TrainingClips], refused: Sequence[Rejected]) -> Annotator:
+            words = [words for one in rest for words in one.words]
+            if self.single is None:
+                return self.annotator(learn(rest), lambda: words, calibration)
+            # templates then only provide class names and numbers of columns (those of the first clips)
+            made = self.annotator(learn([one.first() for one in rest]), lambda: words[:1], calibration)
+            return self.single(made, rest, refused)
+
+        target = Target(takes["frames"].to_list(), takes["actor"].to_list())
+        actors, classes = self._actors(), self.classes
+        return calibrate_confidence(clips, actors, classes, self.params.method, target, make, executor, rejected)
+
+    def _actors(self) -> dict[str, str | None]:
+        return dict(self.store.takes().select("name", "actor").iter_rows())
 
 
 def own_thresholds(params: MethodParameters, calibration: Calibration, annotator: Annotator) -> dict[str, float]:
@@ -138,115 +208,18 @@ def own_thresholds(params: MethodParameters, calibration: Calibration, annotator
     return {name: thresholds[name] for name in labelled}
 
 
-def calibrated_thresholds(
-    store: Store,
-    params: MethodParameters,
-    templates: TemplateParameters,
-    classes: Classes,
-    clips: Callable[[], Sequence[TrainingClips]],
-    executor: Executor,
-    rejected: Callable[[], Sequence[Rejected]] = tuple,
-) -> Calibration:
-    """Calibrate the thresholds of classes, if the parameters require it and the method uses thresholds.
-
-    Parameters
-    ----------
-    store : Store
-        The store, which has the actors of the clips.
-    params : MethodParameters
-        The method and its parameters; no threshold is calibrated unless `tau` is "calibrated".
-    templates : TemplateParameters
-        The parameters that templates are learned with.
-    classes : Classes
-        The classes to label with.
-    clips : callable
-        Returns the clips to calibrate on; called only if they are needed.
-    executor : Executor
-        The workers.
-    rejected : callable, optional
-        Returns the intervals that people have rejected; called only if they are needed.
-    """
-    if params.tau != CALIBRATED or not params.annotation_method.uses_thresholds:
-        return Calibration({}, {}, ())
-    learn = _learning(store, params, templates, executor)
-    actors = dict(store.takes().select("name", "actor").iter_rows())
-    return calibrate(clips(), actors, classes, params.delta, learn, executor, rejected())
-
-
-def _learning(
-    store: Store, params: MethodParameters, templates: TemplateParameters, executor: Executor
-) -> Callable[[Sequence[TrainingClips]], list[SubclassTemplate]]:
+def template_learner(
+    store: Store, params: MethodParameters, learned_with: TemplateParameters, executor: Executor
+) -> Learn:
     """Return a function that learns templates from clips with the parameters of a pipeline."""
-    weights = feature_weights(templates.weights, store.feature_set)
+    weights = feature_weights(learned_with.weights, store.feature_set)
 
     def learn(some: Sequence[TrainingClips]) -> list[SubclassTemplate]:
         features, kinds = len(store.feature_set.features), [params.templates]
         found = [one for task in learn_templates(some, kinds, features, executor, weights) for one in task]
-        return completed(found, templates, store.feature_set, kinds, where_possible=True)
+        return completed(found, learned_with, store.feature_set, kinds, where_possible=True)
 
     return learn
-
-
-def calibrated_confidence(
-    store: Store,
-    params: MethodParameters,
-    templates: TemplateParameters,
-    classes: Classes,
-    clips: Sequence[TrainingClips],
-    takes: pl.DataFrame,
-    calibration: Calibration,
-    executor: Executor,
-    queries: Sequence[KeyframeQuery] = (),
-    learned: Sequence[KeyframeQuery] = (),
-    single: Single | None = None,
-    rejected: Sequence[Rejected] = (),
-) -> CalibratedConfidence:
-    """Learn the confidence of an annotation's labels from held-out examples.
-
-    Parameters
-    ----------
-    store : Store
-        The store, which has the actors of the clips.
-    params : MethodParameters
-        The method and its parameters.
-    templates : TemplateParameters
-        The parameters that templates are learned with.
-    classes : Classes
-        The classes to label with.
-    clips : sequence of TrainingClips
-        The examples.
-    takes : polars.DataFrame
-        Rows of the takes to annotate; their lengths and actors are used.
-    calibration, executor, queries, learned
-        See `prepare_annotator`; thresholds and queries are those of all examples.
-    single : callable, optional
-        Returns an annotator with each example as a template (`single_examples`).
-    rejected : sequence of Rejected, optional
-        Intervals that people have rejected, if `single` is given.
-    """
-
-    def make(some: Sequence[SubclassTemplate], rest: Sequence[TrainingClips], refused: Sequence[Rejected]) -> Annotator:
-        words = [words for one in rest for words in one.words][: None if single is None else 1]
-        made = prepare_annotator(store, params, some, classes, lambda: words, calibration, queries, learned)
-        return made if single is None else single(made, rest, refused)
-
-    learn = _learning(store, params, templates, executor)
-
-    def learn_alone(some: Sequence[TrainingClips]) -> list[SubclassTemplate]:
-        # templates then only provide class names and numbers of columns (those of the first clips)
-        return learn([one.first() for one in some])
-
-    return calibrate_confidence(
-        clips,
-        dict(store.takes().select("name", "actor").iter_rows()),
-        classes,
-        params.method,
-        Target(takes["frames"].to_list(), takes["actor"].to_list()),
-        learn if single is None else learn_alone,
-        make,
-        executor,
-        rejected,
-    )
 
 
 def single_examples_of(store: Store, params: MethodParameters, templates: TemplateParameters) -> Single:

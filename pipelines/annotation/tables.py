@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import shlex
 from collections.abc import Iterable, Mapping
 from itertools import repeat
 
@@ -10,13 +11,14 @@ import numpy as np
 import polars as pl
 import pyarrow as pa
 
-from kinedex.ops.errors import KinedexError
+from kinedex.ops.errors import KinedexError, did_you_mean
 from kinedex.ops.intervals import in_seconds
 from kinedex.ops.wording import few
 from kinedex.pipelines.annotation.annotators import Annotator
 from kinedex.pipelines.annotation.batches import TakeAnnotation
 from kinedex.pipelines.templates.learning import run_of
 from kinedex.storage.snapshot.schemas import result_schema
+from kinedex.storage.snapshot.shown_results import pipeline_of, pipelines_by_use
 from kinedex.storage.store.store import Store, data_frame
 
 
@@ -46,6 +48,46 @@ def takes_table(
         pl.Series("fingerprint", [(prints or {}).get(take_id) for take_id in ids], pl.String),
     )
     return columns.to_arrow().cast(result_schema("annotated_takes"))
+
+
+def annotate_stage(store: Store, wanted: str | None = None) -> str:
+    """Find the stage whose annotations a user asks for.
+
+    Parameters
+    ----------
+    store : Store
+        The store to read.
+    wanted : str, optional
+        "<pipeline>/<stage>", the name of the pipeline, or the id of the run; the stage of the pipeline whose
+        annotations the view `annotations` shows by default.
+
+    Returns
+    -------
+    str
+        "<pipeline>/<stage>".
+
+    Raises
+    ------
+    KinedexError
+        The store has no annotations, none of this stage, or several stages fit.
+    """
+    annotating = {part.stage for part in store.manifest.results.get("annotated_takes", ())}
+    records = {name: one for name, one in store.manifest.stages.items() if name in annotating}
+    if not records:
+        roots = store.takes()["source_root"].unique().to_list()
+        source = shlex.quote(f"source={roots[0]}") if len(roots) == 1 else "source=…"
+        command = f"kinedex run annotate --store {shlex.quote(str(store.path))} --set {source}"
+        raise KinedexError(f"{store.path}: nothing was annotated; `{command}` annotates it")
+    shown = next(name for name in pipelines_by_use(store.manifest) if name in map(pipeline_of, records))
+    asked = wanted or shown
+    fitting = [name for name, one in records.items() if asked in (name, pipeline_of(name), one.run)]
+    if not fitting:
+        raise KinedexError(f"no stage '{asked}' has annotated anything{did_you_mean(asked, records)}")
+    if len(fitting) > 1:
+        raise KinedexError(
+            f"several stages of '{asked}' have annotated takes: {few(sorted(fitting))}; choose one with --stage"
+        )
+    return fitting[0]
 
 
 def annotated_takes(store: Store, stage: str) -> pl.DataFrame:

@@ -15,9 +15,15 @@ from kinedex.ops.evaluation.metrics import Counts, compare, pooled
 from kinedex.ops.wording import digits
 from kinedex.pipelines.engine.display import ResultTable
 from kinedex.pipelines.evaluation.ground_truth import GroundTruth
-from kinedex.pipelines.evaluation.measure_names import F_FRAMES, F_SEGMENTS, THESIS_NAMES
 from kinedex.storage.disk import replace_file, write_errors
 from kinedex.storage.snapshot.schemas import result_schema
+
+F_FRAMES, F_SEGMENTS = "F (frames)", "F (segments)"
+"""Headings of the F-measures; the thesis calls them F1 and F2, and so do the keys of files."""
+
+THESIS_NAMES = "F (frames) and F (segments) are F1 and F2 of the thesis (Section 5.4); P is precision, R recall"
+"""The remark that explains these names, shown once per page or table."""
+
 
 MEASURES = ("p1", "r1", "f1", "p2", "r2", "f2")
 SCOPES = ("pooled", "fold", "class", "take")

@@ -14,22 +14,26 @@ from kinedex.ops.wording import few
 from kinedex.pipelines.annotation.parameters import AnnotationParameters, MethodParameters
 from kinedex.pipelines.annotation.tables import annotated_takes
 from kinedex.pipelines.engine.context import StageContext
-from kinedex.pipelines.evaluation.folds import Material, NoFoldsError, make_folds
+from kinedex.pipelines.evaluation.folds import Fold, Material, NoFoldsError, make_folds
 from kinedex.pipelines.evaluation.grid import Cell, SegmentsByTake, cells_table, known_cells, remarks_of, run_cells
-from kinedex.pipelines.evaluation.ground_truth import GroundTruth
-from kinedex.pipelines.evaluation.label_files import (
+from kinedex.pipelines.evaluation.ground_truth import (
     NONE,
+    GroundTruth,
     GroundTruthParameters,
     ground_truth,
     not_labelled,
     with_own_classes,
 )
 from kinedex.pipelines.evaluation.method_scores import MethodScores, counts_of, judge, segment_outcomes
-from kinedex.pipelines.evaluation.preparation import StudyMaterial, make_cell, method_remarks, with_templates
-from kinedex.pipelines.evaluation.queries import QueryLearner
+from kinedex.pipelines.evaluation.preparation import (
+    QueryLearner,
+    StudyMaterial,
+    make_cell,
+    method_remarks,
+    with_templates,
+)
 from kinedex.pipelines.evaluation.scheme import ComparisonParameters, Method, Split
 from kinedex.pipelines.evaluation.study import SplitResult, Study, Threshold
-from kinedex.pipelines.evaluation.test_takes import Fold
 from kinedex.pipelines.keyframes.parameters import KeyframeParameters
 from kinedex.pipelines.templates.recipes import templates_of_files
 from kinedex.pipelines.templates.training import TemplateParameters, training_material
@@ -262,7 +266,7 @@ def _result(
     ]
     used = [cells[split.name, fold.name, method.name] for fold in folds for method in params.methods]
     labelled = {one.annotator.classes[index] for one in used for index in one.annotator.class_index.tolist()}
-    lacking = sorted({label for test_take in test_takes for label, _, _ in test_take.truth} - labelled)
+    lacking = sorted({one.label for take in test_takes for one in take.truth} - labelled)
     notes = [f"without a template, so their segments cannot be found: {few(lacking)}"] if lacking else []
     notes += remarks_of(used)
     met = tuple(segment_outcomes(outcomes, test_takes))

@@ -8,8 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from kinedex.pipelines.evaluation.grid import Segment
-from kinedex.pipelines.evaluation.test_takes import TestTake
+from kinedex.ops.intervals import TakeSegment
+from kinedex.pipelines.evaluation.folds import TestTake
 
 Bool = npt.NDArray[np.bool_]
 
@@ -65,13 +65,13 @@ class ConfusedClass:
 
 
 def confusion(
-    outcome: Mapping[str, Sequence[Segment]], test_takes: Sequence[TestTake], classes: Sequence[str]
+    outcome: Mapping[str, Sequence[TakeSegment]], test_takes: Sequence[TestTake], classes: Sequence[str]
 ) -> Confusion:
     """Count the frames of all takes by their manual and automatic labels.
 
     Parameters
     ----------
-    outcome : mapping of str to sequence of Segment
+    outcome : mapping of str to sequence of TakeSegment
         The automatic segments of each take, by its name.
     test_takes : sequence of TestTake
         The takes with their ground truth.
@@ -82,8 +82,7 @@ def confusion(
     size = len(classes)
     frames = np.zeros((size + 2, size + 2))
     for test_take in test_takes:
-        true = _marked([(place[label], start, stop) for label, start, stop in test_take.truth], test_take, size)
-        mine = _marked([(place[one.label], one.start, one.stop) for one in outcome[test_take.name]], test_take, size)
+        true, mine = (_marked(segments, place, test_take) for segments in (test_take.truth, outcome[test_take.name]))
         frames += _of_take(true, mine)
     return Confusion(tuple(classes), frames)
 
@@ -107,11 +106,11 @@ def _of_take(true: Bool, mine: Bool) -> npt.NDArray[np.float64]:
     return frames
 
 
-def _marked(segments: Sequence[tuple[int, int, int]], test_take: TestTake, labels: int) -> Bool:
-    """Return the frames labelled with each class, bool (labels, L)."""
-    marked = np.zeros((labels, test_take.frames), np.bool_)
-    for label, start, stop in segments:
-        marked[label, start:stop] = True
+def _marked(segments: Sequence[TakeSegment], place: Mapping[str, int], test_take: TestTake) -> Bool:
+    """Return the frames labelled with each class, bool (classes, L)."""
+    marked = np.zeros((len(place), test_take.frames), np.bool_)
+    for one in segments:
+        marked[place[one.label], one.start : one.stop] = True
     return marked
 
 

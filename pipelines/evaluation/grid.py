@@ -12,6 +12,7 @@ from itertools import islice
 import numpy as np
 import pyarrow as pa
 
+from kinedex.ops.intervals import TakeSegment
 from kinedex.ops.wording import few
 from kinedex.ops.words import ALL_KNOWN, TakeWords
 from kinedex.pipelines.annotation.annotators import Annotator
@@ -19,8 +20,8 @@ from kinedex.pipelines.annotation.batches import BATCH_FRAMES, annotate_words
 from kinedex.pipelines.annotation.reuse import setting_digest
 from kinedex.pipelines.engine.code_digest import code_digest
 from kinedex.pipelines.engine.executors import Executor, batches_of
+from kinedex.pipelines.evaluation.folds import WHOLE, Fold, TestTake
 from kinedex.pipelines.evaluation.scheme import Method
-from kinedex.pipelines.evaluation.test_takes import WHOLE, Fold, TestTake
 from kinedex.storage.snapshot.schemas import result_schema
 from kinedex.storage.store.store import Store
 
@@ -29,16 +30,6 @@ CODE = "kinedex.pipelines.evaluation.grid:annotate_task"
 
 SAVE_SECONDS = 20.0
 """The longest time, in seconds, after which finished cells are stored."""
-
-
-@dataclass(frozen=True)
-class Segment:
-    """An automatic segment: its class, its analysis frames [start, stop), and its confidence."""
-
-    label: str
-    start: int
-    stop: int
-    sure: float
 
 
 @dataclass(frozen=True)
@@ -75,7 +66,7 @@ class Task:
     test_takes: tuple[TestTake, ...]
 
 
-SegmentsByTake = dict[str, tuple[Segment, ...]]
+SegmentsByTake = dict[str, tuple[TakeSegment, ...]]
 """The segments of a cell, by take name."""
 
 
@@ -156,9 +147,16 @@ def annotate_task(task: Task) -> SegmentsByTake:
     known = None if (masks == ALL_KNOWN).all() else masks
     together = TakeWords(np.arange(len(laid_out), dtype=np.int64), offsets, np.concatenate(laid_out), known)
     annotator = task.annotator
+    names = [one.name for one in task.test_takes]
     return {
-        task.test_takes[one.take_id].name: tuple(
-            Segment(annotator.classes[segment.class_index], segment.start, segment.stop, float(segment.margin))
+        names[one.take_id]: tuple(
+            TakeSegment(
+                names[one.take_id],
+                annotator.classes[segment.class_index],
+                segment.start,
+                segment.stop,
+                confidence=float(segment.margin),
+            )
             for segment in one.segments
         )
         for one in annotate_words(annotator, together)
@@ -183,7 +181,7 @@ def cells_table(cells: Sequence[Cell], found: Mapping[str, SegmentsByTake], run:
             "classes": [one.label for one in found[cell.key][test_take.name]],
             "starts": [one.start for one in found[cell.key][test_take.name]],
             "stops": [one.stop for one in found[cell.key][test_take.name]],
-            "confidences": [one.sure for one in found[cell.key][test_take.name]],
+            "confidences": [one.confidence for one in found[cell.key][test_take.name]],
         }
         for cell in cells
         if cell.key in found
@@ -210,5 +208,8 @@ def known_cells(table: pa.Table) -> dict[str, SegmentsByTake]:
     known: dict[str, SegmentsByTake] = {}
     for row in table.to_pylist():
         columns = (row["classes"], row["starts"], row["stops"], row["confidences"])
-        known.setdefault(row["cell"], {})[row["take"]] = tuple(Segment(*one) for one in zip(*columns, strict=True))
+        known.setdefault(row["cell"], {})[row["take"]] = tuple(
+            TakeSegment(row["take"], label, start, stop, confidence=sure)
+            for label, start, stop, sure in zip(*columns, strict=True)
+        )
     return known

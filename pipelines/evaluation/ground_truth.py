@@ -1,22 +1,29 @@
-"""Assign ground truth to takes: the evaluated takes, their manual segments, and remarks on both."""
+"""Ground truth: parameters select label files or classes of takes, whose segments are assigned to evaluated takes."""
 
 from __future__ import annotations
 
-import math
 from collections import Counter, defaultdict
 from collections.abc import Container, Iterable, Mapping, Sequence
-from dataclasses import dataclass
-from typing import Literal
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Annotated, Literal
 
 import polars as pl
 import pyarrow as pa
+from pydantic import BaseModel, ConfigDict, Field
 
 from kinedex.catalog.classes import Classes
 from kinedex.ops.errors import KinedexError, did_you_mean
+from kinedex.ops.intervals import analysis_frame
 from kinedex.ops.wording import few
+from kinedex.pipelines.engine.digests import files_digest
+from kinedex.pipelines.engine.file_parameters import NamesFile
+from kinedex.pipelines.labels.segments import on_takes
 from kinedex.pipelines.labels.unmatched_labels import UnmatchedLabels, unmatched_labels
+from kinedex.storage.formats.labels.formats import any_ground_truth, ground_truth_files, read_labels
 from kinedex.storage.formats.labels.segments import LabelFile, ManualSegment
 from kinedex.storage.snapshot.schemas import result_schema
+from kinedex.storage.store.store import Store
 
 Statement = tuple[str, str, int, int]
 """A take, a class, and the source frames [start, stop) of a segment."""
@@ -203,11 +210,6 @@ def ground_truth_of_classes(takes: pl.DataFrame, classes: Classes) -> GroundTrut
     return GroundTruth(tuple(segments), tuple(sorted(segment.take for segment in segments)), tuple(remarks))
 
 
-def analysis_frame(source_frame: int, source_rate_hz: float, rate_hz: float) -> int:
-    """Return the first analysis frame at or after a source frame: ceil(source_frame · rate / source_rate)."""
-    return math.ceil(round(source_frame * rate_hz / source_rate_hz, 9))
-
-
 def _labels(segments: Sequence[ManualSegment], classes: Classes, unknown: UnknownLabels) -> dict[str, str | None]:
     """Return the class of each label, or None if it is excluded."""
     result: dict[str, str | None] = {}
@@ -263,3 +265,99 @@ def ground_truth_rows(truth: GroundTruth, run: str) -> pa.Table:
         for one in sorted(truth.segments, key=lambda one: (one.take, one.start, one.stop, one.label))
     ]
     return pa.Table.from_pylist(rows, schema=result_schema("ground_truth"))
+
+
+NONE, OWN_CLASS = "none", "class"
+
+
+class GroundTruthParameters(BaseModel):
+    """The parameters that select ground truth."""
+
+    model_config = ConfigDict(extra="forbid")
+
+    ground_truth: str = Field(
+        "**/ground_truth.csv",
+        description="label files, read by their ending: .csv (take, class, start, stop in source frames), .json, "
+        ".eaf (ELAN), .vtt (WebVTT), .txt (Audacity); a glob below the takes' source folders, or an absolute path; "
+        "'class': each take's own class for all of it; 'none': there is none. Where none is given and this one finds "
+        "no file, takes that have a class, such as one that their paths name, are evaluated by it as with 'class'",
+    )
+    source: Annotated[str | None, NamesFile("data")] = Field(
+        None, description="the folder that ground_truth is relative to; by default the takes' source folders"
+    )
+    unknown_labels: UnknownLabels = Field(
+        "error",
+        description="a label that is neither a class nor a subclass: 'error'; 'miss' counts it as not found; 'ignore' "
+        "excludes it, and reports that",
+    )
+
+
+def ground_truth_digest(params: GroundTruthParameters, store: Store | None) -> str:
+    """Return a hash of the label files.
+
+    If they cannot be found, the hash is a constant, so that the stage runs and reports the error.
+    """
+    if params.ground_truth in (NONE, OWN_CLASS):
+        return ""
+    known: set[str] = set(store.takes()["source_root"]) if store else set()
+    roots = sorted(root for root in known if Path(root).is_dir())
+    try:
+        if not_labelled(params, roots):
+            return "nobody's labels"
+        return files_digest(truth_files(params, roots))
+    except KinedexError:
+        return "none to be read"
+
+
+def with_own_classes(params: GroundTruthParameters, takes: pl.DataFrame) -> GroundTruthParameters:
+    """Return parameters that evaluate takes by their own classes if no other ground truth is given or found.
+
+    Parameters
+    ----------
+    params : GroundTruthParameters
+        The parameters; returned unchanged if they give a ground truth, a file matches the default, or no take
+        has a class.
+    takes : polars.DataFrame
+        Rows of the annotated takes.
+    """
+    if "ground_truth" in params.model_fields_set or not takes["class"].is_not_null().any():
+        return params
+    if any_ground_truth(params.ground_truth, _roots(params, takes["source_root"].unique())):
+        return params
+    return params.model_copy(update={"ground_truth": OWN_CLASS})
+
+
+def not_labelled(params: GroundTruthParameters, roots: Iterable[str]) -> bool:
+    """Return whether takes have no ground truth: it is "none", or not given while no file matches the default.
+
+    Parameters
+    ----------
+    params : GroundTruthParameters
+        The parameters.
+    roots : iterable of str
+        The source folders of the takes.
+    """
+    if params.ground_truth == NONE:
+        return True
+    if "ground_truth" in params.model_fields_set or params.ground_truth == OWN_CLASS:
+        return False
+    return not any_ground_truth(params.ground_truth, _roots(params, roots))
+
+
+def ground_truth(store: Store, params: GroundTruthParameters, takes: pl.DataFrame, classes: Classes) -> GroundTruth:
+    """Read the ground truth of takes and assign it to them."""
+    if params.ground_truth == OWN_CLASS:
+        return ground_truth_of_classes(takes, classes)
+    paths = truth_files(params, takes["source_root"].unique())
+    files, remarks = on_takes(store, list(map(read_labels, paths)))
+    truth = place_ground_truth(files, takes, store.takes()["name"], classes, params.unknown_labels)
+    return replace(truth, remarks=(*remarks, *truth.remarks))
+
+
+def truth_files(params: GroundTruthParameters, roots: Iterable[str]) -> list[Path]:
+    """Return the label files below `source`, or by default below the source folders of takes."""
+    return ground_truth_files(params.ground_truth, _roots(params, roots))
+
+
+def _roots(params: GroundTruthParameters, roots: Iterable[str]) -> Sequence[str]:
+    return [params.source] if params.source else sorted(roots)

@@ -11,22 +11,20 @@ import numpy.typing as npt
 
 from kinedex.ops.evaluation.detection import (
     THRESHOLDS,
-    Detection,
-    TrueSegment,
     average_precision,
     bootstrap,
     boundary_errors,
     overlap,
 )
 from kinedex.ops.evaluation.metrics import Counts, compare, pooled
+from kinedex.ops.intervals import TakeSegment
 from kinedex.pipelines.evaluation.annotation_scores import MEASURES
 from kinedex.pipelines.evaluation.confusion import Confusion, confusion
-from kinedex.pipelines.evaluation.grid import Segment
-from kinedex.pipelines.evaluation.test_takes import TestTake
+from kinedex.pipelines.evaluation.folds import TestTake
 
 I64 = npt.NDArray[np.int64]
 
-Outcome = Mapping[str, Sequence[Segment]]
+Outcome = Mapping[str, Sequence[TakeSegment]]
 """The segments that a method has found in all folds of a split, by take name."""
 
 
@@ -101,21 +99,20 @@ def counts_of(
     outcome: Outcome, test_takes: Sequence[TestTake], classes: Sequence[str]
 ) -> dict[tuple[str, str], Counts]:
     """Return the counts of every take and class (thesis, Section 5.4)."""
-    counts = {}
-    for test_take in test_takes:
-        for label in labels_of(test_takes, classes):
-            mine = [(one.start, one.stop) for one in outcome[test_take.name] if one.label == label]
-            counts[test_take.name, label] = compare(
-                mine, [(start, stop) for name, start, stop in test_take.truth if name == label]
-            )
-    return counts
+
+    def bounds(segments: Sequence[TakeSegment], label: str) -> list[tuple[int, int]]:
+        return [(one.start, one.stop) for one in segments if one.label == label]
+
+    return {
+        (one.name, label): compare(bounds(outcome[one.name], label), bounds(one.truth, label))
+        for one in test_takes
+        for label in labels_of(test_takes, classes)
+    }
 
 
 def labels_of(test_takes: Sequence[TestTake], classes: Sequence[str]) -> list[str]:
     """Return the classes in their order, followed by labels that only the ground truth has."""
-    return list(
-        dict.fromkeys([*classes, *sorted({label for test_take in test_takes for label, _, _ in test_take.truth})])
-    )
+    return list(dict.fromkeys([*classes, *sorted({one.label for take in test_takes for one in take.truth})]))
 
 
 def judge(outcome: Outcome, test_takes: Sequence[TestTake], classes: Sequence[str], draws: int = 1000) -> MethodScores:
@@ -123,7 +120,7 @@ def judge(outcome: Outcome, test_takes: Sequence[TestTake], classes: Sequence[st
 
     Parameters
     ----------
-    outcome : mapping of str to sequence of Segment
+    outcome : mapping of str to sequence of TakeSegment
         The segments of each take, by its name.
     test_takes : sequence of TestTake
         The takes of all folds.
@@ -165,27 +162,25 @@ def joined(outcome: Outcome, test_takes: Sequence[TestTake]) -> tuple[Outcome, l
     People label repetitions in a row as one segment or as several; joining makes these the same. The confidence of a
     joined segment is the average of its parts, weighted by frames.
     """
-    mine = {test_take.name: _joined(outcome[test_take.name]) for test_take in test_takes}
-    true = [_joined([Segment(*one, 1.0) for one in test_take.truth]) for test_take in test_takes]
-    return mine, [
-        replace(test_take, truth=tuple((one.label, one.start, one.stop) for one in own))
-        for test_take, own in zip(test_takes, true, strict=True)
+    return {one.name: _joined(outcome[one.name]) for one in test_takes}, [
+        replace(one, truth=tuple(_joined(one.truth))) for one in test_takes
     ]
 
 
-def _joined(segments: Sequence[Segment]) -> list[Segment]:
-    runs: list[list[Segment]] = []
+def _joined(segments: Sequence[TakeSegment]) -> list[TakeSegment]:
+    runs: list[list[TakeSegment]] = []
     for one in sorted(segments, key=lambda one: (one.label, one.start, one.stop)):
         if runs and runs[-1][0].label == one.label and one.start <= max(part.stop for part in runs[-1]):
             runs[-1].append(one)
         else:
             runs.append([one])
     found = [
-        Segment(
-            run[0].label,
-            run[0].start,
-            max(one.stop for one in run),
-            float(np.average([one.sure for one in run], weights=[one.stop - one.start for one in run])),
+        replace(
+            run[0],
+            stop=max(one.stop for one in run),
+            confidence=None
+            if run[0].confidence is None
+            else float(np.average([one.confidence for one in run], weights=[one.stop - one.start for one in run])),
         )
         for run in runs
     ]
@@ -209,20 +204,9 @@ def _precision(outcome: Outcome, test_takes: Sequence[TestTake], label: str) -> 
 
 def _of_class(
     outcome: Outcome, test_takes: Sequence[TestTake], label: str
-) -> tuple[list[Detection], list[TrueSegment]]:
-    found = [
-        Detection(test_take.name, one.start, one.stop, one.sure)
-        for test_take in test_takes
-        for one in outcome[test_take.name]
-        if one.label == label
-    ]
-    known = [
-        TrueSegment(test_take.name, start, stop)
-        for test_take in test_takes
-        for name, start, stop in test_take.truth
-        if name == label
-    ]
-    return found, known
+) -> tuple[list[TakeSegment], list[TakeSegment]]:
+    found = [one for test_take in test_takes for one in outcome[test_take.name] if one.label == label]
+    return found, [one for test_take in test_takes for one in test_take.truth if one.label == label]
 
 
 def _boundaries(outcome: Outcome, test_takes: Sequence[TestTake], labels: Sequence[str]) -> I64:
@@ -230,7 +214,7 @@ def _boundaries(outcome: Outcome, test_takes: Sequence[TestTake], labels: Sequen
         boundary_errors(*_of_class(outcome, [test_take], label))
         for test_take in test_takes
         for label in labels
-        if any(name == label for name, _, _ in test_take.truth)
+        if any(one.label == label for one in test_take.truth)
     ]
     return np.concatenate([np.empty((0, 2), np.int64), *errors])
 
@@ -239,7 +223,8 @@ def segment_outcomes(outcomes: Mapping[str, Outcome], test_takes: Sequence[TestT
     """Return the outcome of every manual segment with each method, in the order of takes and time."""
     found = []
     for test_take in test_takes:
-        for label, start, stop in sorted(test_take.truth, key=lambda one: (one[1], one[2], one[0])):
+        for true in sorted(test_take.truth, key=lambda one: (one.start, one.stop, one.label)):
+            label, start, stop = true.label, true.start, true.stop
             there = {
                 method: [one for one in outcome[test_take.name] if _meets(one, start, stop)]
                 for method, outcome in outcomes.items()
@@ -255,11 +240,11 @@ def segment_outcomes(outcomes: Mapping[str, Outcome], test_takes: Sequence[TestT
     return found
 
 
-def _meets(one: Segment, start: int, stop: int) -> bool:
+def _meets(one: TakeSegment, start: int, stop: int) -> bool:
     return one.start < stop and start < one.stop
 
 
-def _names(found: Sequence[Segment], start: int, stop: int) -> tuple[str, ...]:
+def _names(found: Sequence[TakeSegment], start: int, stop: int) -> tuple[str, ...]:
     """Return the distinct labels of segments, the one with the largest overlap first."""
     ranked = sorted(found, key=lambda one: -overlap((one.start, one.stop), (start, stop)))
     return tuple(dict.fromkeys(one.label for one in ranked))

@@ -9,7 +9,7 @@ from pydantic import BaseModel, ConfigDict, Field, model_validator
 from kinedex.catalog.classes import OWN
 from kinedex.pipelines.annotation.parameters import MethodParameters
 from kinedex.pipelines.engine.file_parameters import NamesFile
-from kinedex.pipelines.evaluation.label_files import GroundTruthParameters
+from kinedex.pipelines.evaluation.ground_truth import GroundTruthParameters
 
 LEARNED = "learned"
 """The value that stands in place of query files: queries are learned in each fold, from its own training clips."""

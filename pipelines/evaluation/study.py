@@ -9,11 +9,11 @@ from dataclasses import asdict, dataclass, field
 import numpy as np
 
 from kinedex.ops.evaluation.metrics import Counts, pooled
-from kinedex.ops.intervals import in_seconds
+from kinedex.ops.intervals import TakeSegment, in_seconds
 from kinedex.pipelines.evaluation.annotation_scores import Row, scores
+from kinedex.pipelines.evaluation.folds import WHOLE, Fold, TestTake
 from kinedex.pipelines.evaluation.method_scores import MethodScores, Outcome, SegmentOutcome, chosen_takes
 from kinedex.pipelines.evaluation.scheme import Method, Metric, Split
-from kinedex.pipelines.evaluation.test_takes import WHOLE, Fold, TestTake
 
 
 @dataclass(frozen=True)
@@ -187,12 +187,16 @@ def _split(result: SplitResult, study: Study) -> dict[str, object]:
             what: {
                 "take": name,
                 "frames": test_takes[name].frames,
-                "manual": [list(one) for one in test_takes[name].truth],
-                "automatic": {method: list(map(asdict, found[name])) for method, found in result.outcomes.items()},
+                "manual": [[one.label, one.start, one.stop] for one in test_takes[name].truth],
+                "automatic": {method: list(map(_segment, found[name])) for method, found in result.outcomes.items()},
             }
             for what, name in shown.items()
         },
     }
+
+
+def _segment(one: TakeSegment) -> dict[str, object]:
+    return {"label": one.label, "start": one.start, "stop": one.stop, "sure": one.confidence}
 
 
 def _judgement(one: MethodScores, study: Study) -> dict[str, object]:

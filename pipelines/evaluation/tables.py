@@ -8,10 +8,9 @@ from kinedex.ops.evaluation.metrics import Counts
 from kinedex.ops.intervals import shown_seconds
 from kinedex.ops.wording import counted, digits
 from kinedex.pipelines.engine.display import Line, ResultTable
-from kinedex.pipelines.evaluation.annotation_scores import MEASURES
+from kinedex.pipelines.evaluation.annotation_scores import F_FRAMES, F_SEGMENTS, MEASURES, THESIS_NAMES
 from kinedex.pipelines.evaluation.confusion import EXTRA, LACKING, confusions
 from kinedex.pipelines.evaluation.markdown import grid, plain
-from kinedex.pipelines.evaluation.measure_names import F_FRAMES, F_SEGMENTS, THESIS_NAMES
 from kinedex.pipelines.evaluation.method_scores import MethodScores, SegmentOutcome
 from kinedex.pipelines.evaluation.study import SplitResult, Study, boundary_summary
 

@@ -14,7 +14,7 @@ from kinedex.ops.evaluation.group_split import split_groups
 from kinedex.ops.intervals import in_seconds, nearest_frame, shown_seconds
 from kinedex.ops.wording import counted
 from kinedex.pipelines.export.request import CLIPS, How
-from kinedex.pipelines.export.selection import Interval
+from kinedex.pipelines.export.selection import SelectedInterval
 from kinedex.storage.formats.labels.formats import file_names
 from kinedex.storage.store.store import Store
 
@@ -28,7 +28,7 @@ class Clip:
 
     Attributes
     ----------
-    interval : Interval
+    interval : SelectedInterval
         The selected interval.
     start, stop : int
         The frames of the clip: the interval with its margins, in analysis frames of the take.
@@ -44,7 +44,7 @@ class Clip:
         Name of the file without its extension.
     """
 
-    interval: Interval
+    interval: SelectedInterval
     start: int
     stop: int
     first: int
@@ -60,7 +60,7 @@ class Clip:
         return self.interval.take
 
 
-def clips_of(store: Store, intervals: Sequence[Interval], how: How) -> list[Clip]:
+def clips_of(store: Store, intervals: Sequence[SelectedInterval], how: How) -> list[Clip]:
     """Return the clips of intervals, without those that are shorter than requested.
 
     Margins and context end at the ends of the take. Intervals of a class that become equal with their margins make one
@@ -70,7 +70,7 @@ def clips_of(store: Store, intervals: Sequence[Interval], how: How) -> list[Clip
     ----------
     store : Store
         The store of the takes.
-    intervals : sequence of Interval
+    intervals : sequence of SelectedInterval
         The intervals, by take and start.
     how : How
         The margins, the context and the smallest length.

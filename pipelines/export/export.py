@@ -16,7 +16,7 @@ from kinedex.pipelines.export.folder import Folder, Written
 from kinedex.pipelines.export.metadata import Facts, data_set_text, metadata_rows, metadata_text, split_facts
 from kinedex.pipelines.export.plan import jobs_of, needed_mappings, planned
 from kinedex.pipelines.export.request import How, What, form_named
-from kinedex.pipelines.export.selection import Interval
+from kinedex.pipelines.export.selection import SelectedInterval
 from kinedex.pipelines.export.work import Batch, Done, Job, batches_of_jobs, write_batch, write_files
 from kinedex.storage.store.store import Store
 
@@ -165,7 +165,7 @@ def export_take(store: Store, take: str, how: How, path: Path) -> list[Path]:
     if given := [name for name, value in asked.items() if value]:
         raise KinedexError(f"--{given[0]} makes a data set: give its folder, as in -o clips/")
     frames = store.take_frames[store.take_id(take)]
-    clip = Clip(Interval(take, 0, frames), 0, frames, 0, frames, None, name=take)
+    clip = Clip(SelectedInterval(take, 0, frames), 0, frames, 0, frames, None, name=take)
     (job,) = jobs_of(store, [clip], how)
     endings = form_named(how.form).endings[: len(job.files)]
     paths = [path, *(path.with_suffix(f".{ending}") for ending in endings[1:])]

@@ -15,7 +15,7 @@ from kinedex.ops.errors import KinedexError, SourceError, did_you_mean
 from kinedex.ops.intervals import nearest_frame
 from kinedex.ops.wording import counted, few
 from kinedex.pipelines.export.request import What
-from kinedex.pipelines.labels.rejections import Rejections
+from kinedex.pipelines.labels.selection import Rejections
 from kinedex.storage.formats.csv_tables import unguarded
 from kinedex.storage.snapshot.labels import is_of_limbs
 from kinedex.storage.store.store import Store
@@ -25,7 +25,7 @@ _PLACE = re.compile(r"(\d+(?:\.\d*)?|\.\d+)\s*(s?)")
 
 
 @dataclass(frozen=True)
-class Interval:
+class SelectedInterval:
     """An interval [start, stop) of a take in analysis frames, with its origin.
 
     Attributes
@@ -68,7 +68,7 @@ class Interval:
 class Selected:
     """The distinct intervals of a request, by take, start, stop and class; and remarks about missing ones."""
 
-    intervals: tuple[Interval, ...]
+    intervals: tuple[SelectedInterval, ...]
     remarks: tuple[str, ...]
 
 
@@ -97,7 +97,7 @@ def selected_intervals(store: Store, what: What) -> Selected:
     found = list(_SOURCES[what.kind](store, what, remarks))
     if not found:
         raise KinedexError(f"{store.path}: nothing to export: {_NONE[what.kind]}")
-    steps: list[tuple[str, Callable[[Interval], bool]]] = [
+    steps: list[tuple[str, Callable[[SelectedInterval], bool]]] = [
         ("of the takes that are named", lambda one: not what.takes or one.take in what.takes),
         (f"of takes that the filter `{what.where}` selects", lambda one: what.where is None or one.take in lengths),
     ]
@@ -117,16 +117,16 @@ def selected_intervals(store: Store, what: What) -> Selected:
     return Selected(tuple(_inside(store, found)), tuple(remarks))
 
 
-def _nothing_left(store: Store, what: What, found: list[Interval], words: str) -> str:
+def _nothing_left(store: Store, what: What, found: list[SelectedInterval], words: str) -> str:
     classes = sorted({one.label for one in found if one.label})
     hint = did_you_mean(what.classes[0], classes) if what.classes and words.startswith("of class") else ""
     return f"{store.path}: nothing to export: none of {counted(len(found), 'interval')} is {words}{hint}"
 
 
-def _inside(store: Store, found: Iterable[Interval]) -> list[Interval]:
+def _inside(store: Store, found: Iterable[SelectedInterval]) -> list[SelectedInterval]:
     """Return distinct intervals, sorted; raise an error if one is not inside its take."""
     lengths = {name: store.take_frames[take_id] for name, take_id in store.take_ids.items()}
-    once: dict[tuple[str, int, int, str], Interval] = {}
+    once: dict[tuple[str, int, int, str], SelectedInterval] = {}
     for one in sorted(found, key=lambda one: (one.place, -(one.confidence or 0.0))):
         if one.take not in lengths:
             raise KinedexError(f"no take is named '{one.take}'{did_you_mean(one.take, lengths)}")
@@ -139,15 +139,14 @@ def _inside(store: Store, found: Iterable[Interval]) -> list[Interval]:
     return list(once.values())
 
 
-def _takes(store: Store, what: What, remarks: list[str]) -> Iterator[Interval]:
+def _takes(store: Store, what: What, remarks: list[str]) -> Iterator[SelectedInterval]:
     for row in store.take_rows.to_pylist():
-        yield Interval(row["name"], 0, int(row["frames"]), row["class"])
+        yield SelectedInterval(row["name"], 0, int(row["frames"]), row["class"])
 
 
-def _annotations(store: Store, what: What, remarks: list[str]) -> Iterator[Interval]:
+def _annotations(store: Store, what: What, remarks: list[str]) -> Iterator[SelectedInterval]:
     # imported here because it imports numba, which takes longer than exporting one take
-    from kinedex.pipelines.annotation.labels import annotate_stage
-    from kinedex.pipelines.annotation.tables import annotated_takes
+    from kinedex.pipelines.annotation.tables import annotate_stage, annotated_takes
 
     stage = annotate_stage(store, what.pipeline)
     annotated_takes(store, stage)  # raises an error if takes were replaced since then
@@ -159,13 +158,13 @@ def _annotations(store: Store, what: What, remarks: list[str]) -> Iterator[Inter
     for row in rows:
         if rejections.include(row):
             continue
-        yield Interval(
+        yield SelectedInterval(
             row["take"], row["start"], row["stop"], row["class"], row["confidence"], "annotation", stage, run,
             {"subclass": row["subclass"]},
         )  # fmt: skip
 
 
-def _labels(store: Store, what: What, remarks: list[str]) -> Iterator[Interval]:
+def _labels(store: Store, what: What, remarks: list[str]) -> Iterator[SelectedInterval]:
     rows = [row for row in store.labels().to_pylist() if row["verdict"] == "positive" and not is_of_limbs(row)]
     lengths = {name: store.take_frames[take_id] for name, take_id in store.take_ids.items()}
     gone = [row for row in rows if row["stop"] > lengths.get(row["take"], 0)]
@@ -178,10 +177,10 @@ def _labels(store: Store, what: What, remarks: list[str]) -> Iterator[Interval]:
     for row in rows:
         if row["stop"] <= lengths.get(row["take"], 0):
             confidence = row["confidence"]
-            yield Interval(row["take"], row["start"], row["stop"], row["class"], confidence, "label")
+            yield SelectedInterval(row["take"], row["start"], row["stop"], row["class"], confidence, "label")
 
 
-def _hits(store: Store, what: What, remarks: list[str]) -> Iterator[Interval]:
+def _hits(store: Store, what: What, remarks: list[str]) -> Iterator[SelectedInterval]:
     rows = store.result("hits").to_pylist()
     names = sorted({row["saved_as"] for row in rows})
     if what.name not in names:
@@ -189,10 +188,10 @@ def _hits(store: Store, what: What, remarks: list[str]) -> Iterator[Interval]:
         raise KinedexError(f"{store.path}: no hits were saved as '{what.name}'{shown}")
     for row in rows:
         if row["saved_as"] == what.name:
-            yield Interval(row["take"], row["start"], row["stop"], row["query"], None, "hit", None, row["run"])
+            yield SelectedInterval(row["take"], row["start"], row["stop"], row["query"], None, "hit", None, row["run"])
 
 
-def _ranges(store: Store, what: What, remarks: list[str]) -> Iterator[Interval]:
+def _ranges(store: Store, what: What, remarks: list[str]) -> Iterator[SelectedInterval]:
     path = Path(what.name or "")
     try:
         text = path.read_text(encoding="utf-8-sig")
@@ -215,7 +214,7 @@ def _ranges(store: Store, what: What, remarks: list[str]) -> Iterator[Interval]:
             raise SourceError(path, str(fault), line=lines.line_num) from None
 
 
-def _sql(store: Store, what: What, remarks: list[str]) -> Iterator[Interval]:
+def _sql(store: Store, what: What, remarks: list[str]) -> Iterator[SelectedInterval]:
     table = store.sql(str(what.name))
     if "take" not in table.column_names:
         raise KinedexError(
@@ -230,7 +229,7 @@ def _sql(store: Store, what: What, remarks: list[str]) -> Iterator[Interval]:
         yield _row(store, row, "sql")
 
 
-def _row(store: Store, row: dict[str, Any], origin: str) -> Interval:
+def _row(store: Store, row: dict[str, Any], origin: str) -> SelectedInterval:
     """Return the interval in a row of a file or of a SQL query."""
     take = str(row["take"])
     length = store.take_frames[store.take_id(take)]
@@ -246,7 +245,7 @@ def _row(store: Store, row: dict[str, Any], origin: str) -> Interval:
             raise ValueError
     except ValueError:
         raise KinedexError(f"confidence must be a number, got '{confidence}'") from None
-    return Interval(take, start, stop, None if label in (None, "") else str(label), certain, origin, more=more)
+    return SelectedInterval(take, start, stop, None if label in (None, "") else str(label), certain, origin, more=more)
 
 
 def _frame(store: Store, value: object, name: str, default: int) -> int:
@@ -260,7 +259,7 @@ def _frame(store: Store, value: object, name: str, default: int) -> int:
     return nearest_frame(float(match[1]), store.rate_hz) if match[2] else int(float(match[1]))
 
 
-_SOURCES: dict[str, Callable[[Store, What, list[str]], Iterator[Interval]]] = {
+_SOURCES: dict[str, Callable[[Store, What, list[str]], Iterator[SelectedInterval]]] = {
     "takes": _takes, "annotations": _annotations, "labels": _labels, "hits": _hits, "ranges": _ranges, "sql": _sql,
 }  # fmt: skip
 

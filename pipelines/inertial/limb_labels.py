@@ -10,10 +10,10 @@ from pathlib import Path
 
 from kinedex.catalog.limbs import LIMB_NAMES
 from kinedex.ops.errors import KinedexError, SourceError, did_you_mean
+from kinedex.ops.intervals import source_frame
 from kinedex.ops.wording import counted, few
-from kinedex.pipelines.annotation.labels import source_frame
 from kinedex.pipelines.inertial.limb_error_curves import ERRORS, RUNS, JudgedLimb, judged_limbs
-from kinedex.pipelines.labels.label_takes import on_takes
+from kinedex.pipelines.labels.segments import on_takes
 from kinedex.pipelines.labels.unmatched_labels import UnmatchedLabels, unmatched_labels
 from kinedex.storage.formats.labels.formats import read_labels
 from kinedex.storage.formats.labels.segments import ERROR, Label, LabelFile, ManualSegment, TakeLabels

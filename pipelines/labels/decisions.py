@@ -3,20 +3,19 @@
 from __future__ import annotations
 
 from collections import Counter, defaultdict
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Any, Literal
 
 import polars as pl
 import pyarrow as pa
 
 from kinedex.ops.errors import KinedexError
 from kinedex.ops.wording import few
-from kinedex.pipelines.annotation.labels import annotate_stage
-from kinedex.pipelines.annotation.tables import annotated_takes
-from kinedex.pipelines.labels.segments import Difference, Segment, differences, placed_files
+from kinedex.pipelines.annotation.tables import annotate_stage, annotated_takes
+from kinedex.pipelines.labels.segments import Difference, PlacedFiles, differences, placed_files, segment_of
 from kinedex.pipelines.labels.unmatched_labels import UnmatchedLabels
-from kinedex.storage.formats.labels.segments import LabelFile
+from kinedex.storage.formats.labels.segments import LabelFile, ManualSegment
 from kinedex.storage.snapshot.schemas import labels_schema
 from kinedex.storage.store.result_changes import record_labels
 from kinedex.storage.store.store import Store, data_frame
@@ -66,14 +65,19 @@ class Recorded:
 
     @property
     def counts(self) -> dict[str, int]:
-        """The number of new rows by origin; rows with a negative verdict count as "rejected".
+        """The number of new rows by decision, see `counts_of`."""
+        return counts_of(self.rows.select(["verdict", "origin"]).to_pylist())
 
-        Imported rows with a negative verdict, on limbs that were examined, count as "without errors".
-        """
-        pairs = zip(*(self.rows.column(name).to_pylist() for name in ("verdict", "origin")), strict=True)
-        names = {("negative", "imported"): "without errors"}
-        by_verdict = {"negative": "rejected", "withdrawn": "removed"}
-        return dict(Counter(names.get(pair) or by_verdict.get(pair[0], pair[1]) for pair in pairs))
+
+def counts_of(rows: Iterable[Mapping[str, Any]]) -> dict[str, int]:
+    """Return the number of rows by origin; rows with a negative verdict count as "rejected".
+
+    Imported rows with a negative verdict, on limbs that were examined, count as "without errors".
+    """
+    names = {("negative", "imported"): "without errors"}
+    by_verdict = {"negative": "rejected", "withdrawn": "removed"}
+    pairs = ((str(row["verdict"]), str(row["origin"])) for row in rows)
+    return dict(Counter(names.get(pair) or by_verdict.get(pair[0], pair[1]) for pair in pairs))
 
 
 def record(store: Store, rows: Sequence[Mapping[str, Any]], remarks: Iterable[str] = ()) -> Recorded:
@@ -152,14 +156,12 @@ def decide(store: Store, annotations: pl.DataFrame, *, accept: bool, source: str
     **more : str, optional
         `annotator` and `note`.
     """
-    rows = annotations.iter_rows(named=True)
-    return record(store, [decision_row(one, accept, source or _stage_of(one), more) for one in rows])
-
-
-def _stage_of(annotation: Mapping[str, Any]) -> str:
-    """Return the stage in a row of the view `annotations`; empty if the row does not name it."""
-    pipeline, stage = annotation.get("pipeline"), annotation.get("stage")
-    return f"{pipeline}/{stage}" if pipeline and stage else ""
+    rows = []
+    for one in annotations.iter_rows(named=True):
+        pipeline, stage = one.get("pipeline"), one.get("stage")
+        named = f"{pipeline}/{stage}" if pipeline and stage else ""
+        rows.append(decision_row(one, accept, source or named, more))
+    return record(store, rows)
 
 
 def decision_row(one: Mapping[str, Any], accept: bool, source: str, more: Mapping[str, str | None]) -> Row:
@@ -190,12 +192,13 @@ def withdraw(store: Store, labels: pl.DataFrame, **more: str | None) -> Recorded
     **more : str, optional
         `annotator` and `note`.
     """
-    keep = ("take", "class", "start", "stop", "limb", "origin")
-    rows = [
-        {**{name: one[name] for name in keep}, "replaces": one["id"], "verdict": "withdrawn", **more}
-        for one in labels.iter_rows(named=True)
-    ]
-    return record(store, rows)
+    return record(store, [withdrawal(one) | more for one in labels.iter_rows(named=True)])
+
+
+def withdrawal(label: Mapping[str, Any]) -> Row:
+    """Return the row that withdraws a label."""
+    kept = ("take", "class", "start", "stop", "limb", "origin")
+    return {**{name: label[name] for name in kept}, "replaces": label["id"], "verdict": "withdrawn"}
 
 
 def labels_by_id(store: Store, ids: Sequence[str]) -> pl.DataFrame:
@@ -217,11 +220,26 @@ def labels_by_id(store: Store, ids: Sequence[str]) -> pl.DataFrame:
     return labels.filter(pl.any_horizontal(pl.col("id").str.starts_with(one) for one in ids))
 
 
-def import_labels(store: Store, files: Sequence[LabelFile], **more: str | None) -> Recorded:
-    """Record the segments of label files as labels, with their limbs and annotators.
+Corrects = Literal["annotations", "labels"]
+"""Kinds of exported segments that label files correct."""
+
+
+def import_labels(
+    store: Store,
+    files: Sequence[LabelFile],
+    corrects: Corrects | None = None,
+    stage: str | None = None,
+    **more: str | None,
+) -> Recorded:
+    """Record the segments of label files as labels, with their limbs and annotators, or as a person's corrections.
 
     If somebody has examined a limb of a take, or all limbs, without marking an error, a negative label `error` of the
     whole take records this.
+
+    If they correct annotations, then in the takes that the files name, an annotation that is unchanged in them is
+    accepted, a moved one is corrected, a missing one is rejected, and a new segment is drawn. An annotation with
+    another class is corrected, and rejected for its former class. An unchanged annotation that a person has rejected or
+    moved before keeps that decision. If they correct labels, these are moved, renamed, withdrawn and drawn likewise.
 
     Parameters
     ----------
@@ -229,62 +247,44 @@ def import_labels(store: Store, files: Sequence[LabelFile], **more: str | None) 
         The store.
     files : sequence of LabelFile
         The files; segments that the store already has as labels are skipped.
+    corrects : {"annotations", "labels"}, optional
+        The kind of segments that `labels export` wrote and a person changed; None for files with labels of their own.
+    stage : str, optional
+        The stage whose annotations were corrected; by default that of the current pipeline.
     **more : str, optional
         `annotator`, used where a file names none, and `note`.
 
     Raises
     ------
     KinedexError
-        No take of the files is in the store, or a segment ends after its take.
+        No take of the files is in the store, a segment ends after its take, or annotations are corrected of which there
+        are none in these takes.
     """
-    return _record(store, proposed_labels(store, files, **more))
-
-
-def _record(store: Store, proposed: Proposed) -> Recorded:
+    proposed = proposed_labels(store, files, corrects, stage, **more)
     return replace(record(store, proposed.rows, proposed.remarks), unmatched=proposed.unmatched)
 
 
-def proposed_labels(store: Store, files: Sequence[LabelFile], **more: str | None) -> Proposed:
+def proposed_labels(
+    store: Store,
+    files: Sequence[LabelFile],
+    corrects: Corrects | None = None,
+    stage: str | None = None,
+    **more: str | None,
+) -> Proposed:
     """Return what `import_labels` would record; parameters and errors are those of `import_labels`."""
     placed = placed_files(store, files)
+    if corrects == "annotations":
+        return _corrected_annotations(store, placed, stage, more)
+    if corrects == "labels":
+        return Proposed(tuple(_corrected_labels(store, placed, more)), placed.remarks, placed.unmatched)
     rows = [_drawn(one, "imported", more) for one in placed.segments]
     rows += [_drawn(one, "imported", more) | {"verdict": "negative", "of_person": True} for one in placed.covered]
     return Proposed(tuple(rows), placed.remarks, placed.unmatched)
 
 
-def import_corrections(
-    store: Store, files: Sequence[LabelFile], stage: str | None = None, **more: str | None
-) -> Recorded:
-    """Record label files as a person's corrections of annotations.
-
-    In the takes that the files name, an annotation that is unchanged in them is accepted, a moved one is corrected, a
-    missing one is rejected, and a new segment is drawn. An annotation with another class is corrected, and rejected for
-    its former class. An unchanged annotation that a person has rejected or moved before keeps that decision.
-
-    Parameters
-    ----------
-    store : Store
-        The store.
-    files : sequence of LabelFile
-        The files, which `labels export` wrote and a person changed.
-    stage : str, optional
-        The stage whose annotations were corrected; by default that of the current pipeline.
-    **more : str, optional
-        `annotator` and `note`.
-
-    Raises
-    ------
-    KinedexError
-        There are no annotations, none of the takes was annotated, or a segment ends after its take.
-    """
-    return _record(store, proposed_corrections(store, files, stage, **more))
-
-
-def proposed_corrections(
-    store: Store, files: Sequence[LabelFile], stage: str | None = None, **more: str | None
+def _corrected_annotations(
+    store: Store, placed: PlacedFiles, stage: str | None, more: Mapping[str, str | None]
 ) -> Proposed:
-    """Return what `import_corrections` would record; parameters and errors are those of `import_corrections`."""
-    placed = placed_files(store, files)
     chosen, annotations = annotations_of(store, stage)
     annotated = set(annotated_takes(store, chosen)["name"])
     takes = [take for take in placed.takes if take in annotated]
@@ -292,10 +292,7 @@ def proposed_corrections(
         raise KinedexError(f"stage {chosen} annotated none of the takes of these files, such as {placed.takes[0]}")
     others = sorted(set(placed.takes) - annotated)
     remarks = [*placed.remarks, *([f"takes that {chosen} did not annotate: {few(others)}"] if others else [])]
-    known: dict[Segment, Row] = {}
-    for row in annotations.to_pylist():
-        if row["take"] in takes:
-            known[Segment(row["take"], row["class"], row["start"], row["stop"])] = row
+    known = {segment_of(row): row for row in annotations.to_pylist() if row["take"] in takes}
     after = [one for one in placed.segments if one.take in annotated]
     found = differences(known, after)
     decided = _decided_otherwise(store, [known[one.before] for one in found if one.before and one.change == "same"])
@@ -309,7 +306,7 @@ def proposed_corrections(
     return Proposed(tuple(rows), tuple(remarks), placed.unmatched)
 
 
-def _decided_otherwise(store: Store, annotations: Iterable[Row]) -> list[Segment]:
+def _decided_otherwise(store: Store, annotations: Iterable[Row]) -> list[ManualSegment]:
     """Return annotations that a person has rejected, or whose start or stop a person has corrected."""
     labels: dict[str, list[Row]] = defaultdict(list)
     for label in store.labels().to_pylist():
@@ -324,52 +321,23 @@ def _decided_otherwise(store: Store, annotations: Iterable[Row]) -> list[Segment
         overlaps = label["start"] < row["stop"] and row["start"] < label["stop"]
         return label["origin"] == "corrected" and overlaps and not same
 
-    return [
-        Segment(row["take"], row["class"], row["start"], row["stop"])
-        for row in annotations
-        if any(differs(label, row) for label in labels[row["take"]])
-    ]
+    return [segment_of(row) for row in annotations if any(differs(label, row) for label in labels[row["take"]])]
 
 
-def import_corrected_labels(store: Store, files: Sequence[LabelFile], **more: str | None) -> Recorded:
-    """Record label files as a person's corrections of labels: moved, renamed, removed and new ones.
-
-    Parameters
-    ----------
-    store : Store
-        The store.
-    files : sequence of LabelFile
-        The files, which `labels export --labels` wrote and a person changed.
-    **more : str, optional
-        `annotator` and `note`.
-    """
-    return _record(store, proposed_label_corrections(store, files, **more))
-
-
-def proposed_label_corrections(store: Store, files: Sequence[LabelFile], **more: str | None) -> Proposed:
-    """Return what `import_corrected_labels` would record; parameters and errors are as in `import_corrected_labels`."""
-    placed = placed_files(store, files)
-    known = {
-        Segment(
-            row["take"], row["class"], row["start"], row["stop"], "", row["limb"] or "", row["annotator"] or ""
-        ): row
-        for row in store.labels().to_pylist()
-        if row["take"] in placed.takes and row["verdict"] == "positive"
-    }
-    rows: list[Row] = []
+def _corrected_labels(store: Store, placed: PlacedFiles, more: Mapping[str, str | None]) -> Iterator[Row]:
+    rows = store.labels().to_pylist()
+    known = {segment_of(row): row for row in rows if row["take"] in placed.takes and row["verdict"] == "positive"}
     for one in differences(known, placed.segments):
         before = known[one.before] if one.before is not None else None
         if one.after is not None and one.change != "same":
             row = _drawn(one.after, "drawn" if before is None else "corrected", more)
-            rows.append(row | {"replaces": before["id"]} if before is not None else row)
+            yield row | {"replaces": before["id"]} if before is not None else row
         elif one.after is None and before is not None:
-            kept = {name: before[name] for name in ("take", "class", "start", "stop", "limb", "origin")}
-            rows.append({**kept, "replaces": before["id"], "verdict": "withdrawn", **more})
-    return Proposed(tuple(rows), placed.remarks, placed.unmatched)
+            yield withdrawal(before) | more
 
 
 def _corrections(
-    one: Difference, known: Mapping[Segment, Row], stage: str, more: Mapping[str, str | None]
+    one: Difference, known: Mapping[ManualSegment, Row], stage: str, more: Mapping[str, str | None]
 ) -> list[Row]:
     before = known[one.before] if one.before is not None else None
     if before is not None and one.change == "same":
@@ -383,7 +351,7 @@ def _corrections(
     return rows
 
 
-def _drawn(one: Segment, origin: str, more: Mapping[str, str | None]) -> Row:
+def _drawn(one: ManualSegment, origin: str, more: Mapping[str, str | None]) -> Row:
     """Return a label for a segment; the annotator is that of its file, or the person who corrected the class."""
     edges = {"start": int(one.start), "stop": int(one.stop)}
     row = {"take": one.take, "class": one.label, **edges, "origin": origin, "source": one.where or None, **more}

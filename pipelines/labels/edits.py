@@ -13,7 +13,7 @@ import pyarrow as pa
 import pyarrow.compute as pc
 
 from kinedex.ops.errors import ConflictError, KinedexError, ParameterError
-from kinedex.pipelines.labels.decisions import Recorded, decision_row, labels_by_id
+from kinedex.pipelines.labels.decisions import Recorded, decision_row, labels_by_id, withdrawal
 from kinedex.storage.snapshot.schemas import labels_schema
 from kinedex.storage.store.result_changes import record_labels
 from kinedex.storage.store.store import Store, all_labels
@@ -217,9 +217,7 @@ class LabelEdits:
         return {key: row[key] for key in kept}
 
     def _withdraw(self, id: str, label: str) -> None:
-        kept = ("take", "class", "start", "stop", "limb", "origin")
-        row = {key: self.known[label][key] for key in kept}
-        self._add({**row, "id": id, "replaces": label, "verdict": "withdrawn"})
+        self._add({**withdrawal(self.known[label]), "id": id})
 
     def _add(self, row: Row, *, restored: bool = False) -> None:
         """Add a row after filling in its columns and checking it against its take."""

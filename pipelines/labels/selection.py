@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -13,7 +13,7 @@ import pyarrow as pa
 from kinedex.ops.errors import KinedexError
 from kinedex.storage import duck
 from kinedex.storage.formats.csv_tables import unguarded
-from kinedex.storage.store.store import data_frame
+from kinedex.storage.store.store import Store, data_frame
 
 KEY = ("take", "class", "start", "stop")
 """The columns that identify an annotation or a label in a file of rows."""
@@ -129,3 +129,26 @@ def least_confident_first(annotations: pl.DataFrame) -> pl.DataFrame:
     confidence are ordered by take and start; those without a confidence come last.
     """
     return annotations.sort("confidence", "take", "start", "stop", "class", nulls_last=True)
+
+
+class Rejections:
+    """The intervals that people have rejected for a class.
+
+    Parameters
+    ----------
+    store : Store
+        The store that has the labels.
+    """
+
+    def __init__(self, store: Store) -> None:
+        self._rejected = frozenset(
+            (row["take"], row["class"], row["start"], row["stop"])
+            for row in store.labels().to_pylist()
+            if row["verdict"] == "negative"
+        )
+
+    def include(self, annotation: Mapping[str, Any]) -> bool:
+        """Return whether an annotation, a row with class and subclass, was rejected with exactly its start and stop."""
+        place = annotation["start"], annotation["stop"]
+        names = annotation["class"], annotation["subclass"]
+        return any((annotation["take"], name, *place) in self._rejected for name in names)

@@ -20,7 +20,7 @@ from kinedex.ops.templates.templates import QuantisedTemplate
 from kinedex.ops.words import TakeWords
 from kinedex.pipelines.engine.display import ResultTable
 from kinedex.pipelines.evaluation.ground_truth import GroundTruth, Manual, place_ground_truth
-from kinedex.pipelines.labels.label_takes import on_takes
+from kinedex.pipelines.labels.segments import on_takes
 from kinedex.pipelines.ranking.ranked_hits import Hit
 from kinedex.storage.formats.labels.formats import ground_truth_files, read_labels
 from kinedex.storage.snapshot.schemas import result_schema

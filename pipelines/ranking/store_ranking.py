@@ -11,6 +11,7 @@ import pyarrow as pa
 from kinedex.catalog.named_template import NamedTemplate
 from kinedex.catalog.queries.keyframe_query import KeyframeQuery
 from kinedex.ops.errors import KinedexError
+from kinedex.ops.intervals import shown_seconds
 from kinedex.ops.templates.templates import Kind, quantise
 from kinedex.ops.wording import few
 from kinedex.pipelines.ranking.both_sides import rank_both_sides
@@ -153,7 +154,7 @@ def _miss(one: Ranking, tau: float, rate_hz: float, option: str) -> str:
     enough = min((floor(best.cost * 100) + 1) / 100, FARTHEST)  # rounded up to two digits, above the cost
     return (
         f"no hit of '{one.name}' below {tau:g}; the nearest place costs {best.cost:.3f}: {best.take} at "
-        f"{best.start / rate_hz:.2f} s; {option}{enough:g} makes it a hit"
+        f"{shown_seconds(best.start, rate_hz)} s; {option}{enough:g} makes it a hit"
     )
 
 

@@ -10,6 +10,7 @@ from kinedex.catalog.configs import scalar
 from kinedex.catalog.features import FeatureSet
 from kinedex.catalog.queries.query_files import parse_queries
 from kinedex.ops.errors import KinedexError
+from kinedex.ops.intervals import shown_seconds
 from kinedex.ops.search.query_proposal import Pose, SetCounts, propose_poses
 from kinedex.ops.wording import counted
 from kinedex.ops.words import ALL_KNOWN, I64, NO_WORD, TakeWords, cut
@@ -60,9 +61,8 @@ def propose_query(store: Store, take: str, start: int, stop: int, *, name: str =
     body = [f"{scalar(name)}:", f"  description: {scalar(f'like {take}, frames {start} to {stop}')}", "  keyframes:"]
     for number, pose in enumerate(poses):
         at = start + pose.frame
-        body.append(
-            f"    # frame {at} of the take ({at / rate_hz:.2f} s); matches about {pose.share:.2%} of the archive"
-        )
+        seconds = shown_seconds(at, rate_hz)
+        body.append(f"    # frame {at} of the take ({seconds} s); matches about {pose.share:.2%} of the archive")
         gap = _gap(pose.frame - poses[number - 1].frame) if number else ""
         body.append(f"    - {{{gap}{_switches(pose, feature_set)}}}")
     query = parse_queries("\n".join(body), feature_set, "the proposal", rate_hz)

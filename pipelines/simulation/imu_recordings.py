@@ -38,7 +38,7 @@ LEAST_SHARE = 0.5
 
 
 @dataclass(frozen=True)
-class Segment:
+class ClassTime:
     """An interval of a take with a class.
 
     Attributes
@@ -71,33 +71,33 @@ class Windowing:
             raise ParameterError("step", "a positive number of seconds", self.step_s)
 
 
-def take_segments(store: Store) -> dict[str, list[Segment]]:
+def take_segments(store: Store) -> dict[str, list[ClassTime]]:
     """Return the segments of all takes, by the take's name.
 
     Labels of people take precedence over annotations if a take has both; a take with neither has the class of its file,
     if there is one.
     """
-    found: dict[str, list[Segment]] = {}
+    found: dict[str, list[ClassTime]] = {}
     rows = store.sql(
         'SELECT take, "class", start_seconds AS a, stop_seconds AS b FROM labels '
         "WHERE verdict = 'positive' AND limb IS NULL ORDER BY take, start, stop, \"class\""
     ).to_pylist()
     for row in rows:
-        found.setdefault(row["take"], []).append(Segment("label", row["class"], row["a"], row["b"]))
+        found.setdefault(row["take"], []).append(ClassTime("label", row["class"], row["a"], row["b"]))
     labelled = set(found)
     for row in store.sql(
         'SELECT take, "class", start_seconds AS a, stop_seconds AS b FROM annotations '
         'ORDER BY take, start, stop, "class", subclass'
     ).to_pylist():
         if row["take"] not in labelled:
-            found.setdefault(row["take"], []).append(Segment("annotation", row["class"], row["a"], row["b"]))
+            found.setdefault(row["take"], []).append(ClassTime("annotation", row["class"], row["a"], row["b"]))
     for row in store.take_rows.select(["name", "class", "seconds"]).to_pylist():
         if row["name"] not in found and row["class"] is not None:
-            found[row["name"]] = [Segment("take", row["class"], 0.0, row["seconds"])]
+            found[row["name"]] = [ClassTime("take", row["class"], 0.0, row["seconds"])]
     return found
 
 
-def segment_rows(segments: Sequence[Segment], take_times: F64) -> list[tuple[str, str, int, int]]:
+def segment_rows(segments: Sequence[ClassTime], take_times: F64) -> list[tuple[str, str, int, int]]:
     """Return origin, class and samples [start, stop) of the segments that contain samples."""
     rows = []
     for one in segments:
@@ -186,7 +186,7 @@ class TakeToSimulate:
         Its limbs.
     source_hz : float
         Frames per second of its source.
-    segments : tuple of Segment
+    segments : tuple of ClassTime
         Its annotated segments.
     """
 
@@ -194,7 +194,7 @@ class TakeToSimulate:
     actor: str | None
     limbs: dict[str, LimbMotion]
     source_hz: float
-    segments: tuple[Segment, ...] = ()
+    segments: tuple[ClassTime, ...] = ()
 
 
 @dataclass

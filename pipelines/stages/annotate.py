@@ -20,22 +20,21 @@ from kinedex.ops.wording import counted, few
 from kinedex.pipelines.annotation.annotators import Annotator, targets_unknown
 from kinedex.pipelines.annotation.batches import annotate_stored
 from kinedex.pipelines.annotation.confidence_calibration import CalibratedConfidence
-from kinedex.pipelines.annotation.example_ranges import earlier_ranges, ranges_table
 from kinedex.pipelines.annotation.methods import METHODS
 from kinedex.pipelines.annotation.parameters import AnnotationParameters
 from kinedex.pipelines.annotation.preparation import (
+    Preparation,
     annotation_classes,
-    calibrated_confidence,
-    calibrated_thresholds,
     learned_queries,
     own_thresholds,
-    prepare_annotator,
     queries_of,
     single_examples_of,
     takes_to_annotate,
+    template_learner,
     template_words,
 )
 from kinedex.pipelines.annotation.reuse import earlier_annotations, fingerprints, setting_digest, with_confidence
+from kinedex.pipelines.annotation.single_examples import earlier_ranges, ranges_table
 from kinedex.pipelines.annotation.tables import annotations_table, curves_table, takes_table
 from kinedex.pipelines.annotation.threshold_calibration import Calibration
 from kinedex.pipelines.engine.context import StageContext
@@ -134,24 +133,15 @@ def _prepared(
     examples = cache(lambda: training_material(store, made_with).clips)
     single = single_examples_of(store, params, made_with) if params.each_example else None
     rejected = rejected_examples(store, made_with, of_any=True) if params.each_example else []
-    calibration = calibrated_thresholds(
-        store,
-        params,
-        made_with,
-        classes,
-        examples,
-        context.executor,
-        lambda: rejected_examples(store, made_with),
-    )
+    prepared = Preparation(store, params, classes, queries, learned, single)
+    learn, executor = template_learner(store, params, made_with, context.executor), context.executor
+    calibration = prepared.thresholds(examples, learn, executor, lambda: rejected_examples(store, made_with))
     # annotators of single examples use the common postures of all takes instead of those of clips
     clips = partial(template_words, store, templates) if single is None else tuple
-    annotator = prepare_annotator(store, params, templates, classes, clips, calibration, queries, learned)
+    annotator = prepared.annotator(templates, clips, calibration)
     if single is not None:
         annotator = single(annotator, examples(), rejected)
-    confidence = calibrated_confidence(
-        store, params, made_with, classes, examples(), takes, calibration, context.executor, queries, learned,
-        single, rejected,
-    )  # fmt: skip
+    confidence = prepared.confidence(examples(), takes, calibration, learn, executor, rejected)
     return replace(annotator, confidence=confidence.confidence), calibration, confidence
 
 

@@ -19,7 +19,7 @@ from kinedex.pipelines.engine.page_files import drawn_by, write_page
 from kinedex.pipelines.engine.stage import Input, Stage
 from kinedex.pipelines.evaluation.annotation_scores import Evaluation, measures, metrics_rows
 from kinedex.pipelines.evaluation.comparison import Plan, compare_methods, plan_comparison
-from kinedex.pipelines.evaluation.label_files import ground_truth_digest
+from kinedex.pipelines.evaluation.ground_truth import ground_truth_digest
 from kinedex.pipelines.evaluation.scheme import ComparisonParameters
 from kinedex.pipelines.evaluation.study import Study, content, evaluation_rows
 from kinedex.pipelines.evaluation.tables import markdown, overview

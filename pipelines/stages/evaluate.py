@@ -20,12 +20,12 @@ from kinedex.pipelines.evaluation.annotation_scores import (
     metrics_table,
     write_metrics,
 )
-from kinedex.pipelines.evaluation.ground_truth import ground_truth_rows
-from kinedex.pipelines.evaluation.label_files import (
+from kinedex.pipelines.evaluation.ground_truth import (
     NONE,
     GroundTruthParameters,
     ground_truth,
     ground_truth_digest,
+    ground_truth_rows,
     not_labelled,
     with_own_classes,
 )

@@ -7,6 +7,7 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 
 from kinedex.catalog.features import FeatureSet
+from kinedex.ops.intervals import shown_seconds
 from kinedex.ops.templates.derived_templates import Contrast, consistency
 from kinedex.ops.templates.templates import CONVERGED, quantise
 from kinedex.ops.wording import counted
@@ -64,7 +65,7 @@ def heading(one: SubclassTemplate, rate_hz: float) -> str:
     if made.startswith("learned"):
         made = f"{counted(len(one.clips), 'clip')}, {counted(one.learned.rounds, 'round')} of averaging"
         made += one.origin.removeprefix("learned").replace(", ", "; ", 1)
-    return f"{one.subclass}, {one.kind}: {counted(columns, 'column')} ({columns / rate_hz:.2f} s); {made}"
+    return f"{one.subclass}, {one.kind}: {counted(columns, 'column')} ({shown_seconds(columns, rate_hz)} s); {made}"
 
 
 def weights_line(weights: Sequence[float], features: FeatureSet) -> str:

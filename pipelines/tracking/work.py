@@ -13,6 +13,7 @@ from kinedex.ops.arrays import F64, Bool
 from kinedex.ops.body.capsules import body_capsules
 from kinedex.ops.body.kinematic_chain import ChainBody, Poses
 from kinedex.ops.errors import KinedexError, ParameterError
+from kinedex.ops.intervals import shown_seconds
 from kinedex.ops.priors.motion import Motion
 from kinedex.ops.priors.stabilise import Settings, Track, stabilise
 from kinedex.ops.tracking.body_estimate import estimate_body
@@ -316,7 +317,7 @@ def _stabilised_line(task: StabiliseTask, result: TrackResult) -> str:
         why = "all were withdrawn" if gone else "no motion of the archive was found"
         return f"{task.of}: no priors, {why}{filled}; as {task.take}"
     frames = {frame for row in gone for frame in range(row.start, row.stop)}
-    withdrawn = f", withdrawn over {len(frames) / result.tracker.rate_hz:.1f} s" if gone else ""
+    withdrawn = f", withdrawn over {shown_seconds(len(frames), result.tracker.rate_hz, 1)} s" if gone else ""
     return (
         f"{task.of}: priors of {counted(len(last), 'hit')} in {counted(result.rounds, 'round')}{withdrawn}; joints "
         f"moved by {moved:.1f} mm on average{filled}; as {task.take}"

@@ -13,7 +13,7 @@ from kinedex.ops.templates.nearest_clip import nearest_clips
 from kinedex.pipelines.templates.nearest_examples import words_of
 from kinedex.storage.store.store import Store
 
-Interval = tuple[str, int, int]
+Place = tuple[str, int, int]
 """A take, and the frames [start, stop) of it."""
 
 
@@ -50,7 +50,7 @@ class Nearest:
 class Examples:
     """Intervals that serve as examples, by name: the clips of each template, for instance."""
 
-    of: Mapping[str, Sequence[Interval]]
+    of: Mapping[str, Sequence[Place]]
 
     def nearest(self, store: Store, hits: Iterable[Hit]) -> dict[Hit, Nearest | None]:
         """Return the nearest example of each hit; None where the store has no example of its name."""

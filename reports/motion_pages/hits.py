@@ -15,7 +15,7 @@ from kinedex.pipelines.templates.nearest_examples import clips_of
 from kinedex.pipelines.templates.stored_templates import stored_templates
 from kinedex.reports.hit_strip import StripRow, draw_strip
 from kinedex.reports.motion_pages import FIGURES
-from kinedex.reports.motion_pages.examples import Examples, Interval
+from kinedex.reports.motion_pages.examples import Examples, Place
 from kinedex.reports.motion_pages.motion_page import (
     Clip,
     Group,
@@ -126,7 +126,7 @@ def write_ranking(
     tau: float,
     kind: str = "soft",
     stage: str | None = None,
-    example: Interval | None = None,
+    example: Place | None = None,
     remarks: Sequence[str] = (),
     most: int = FIGURES,
 ) -> str:

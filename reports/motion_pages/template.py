@@ -20,7 +20,7 @@ from kinedex.pipelines.templates.learning import SubclassTemplate
 from kinedex.pipelines.templates.nearest_examples import clips_of
 from kinedex.pipelines.templates.template_text import heading
 from kinedex.reports.motion_pages import FIGURES
-from kinedex.reports.motion_pages.examples import Interval
+from kinedex.reports.motion_pages.examples import Place
 from kinedex.reports.motion_pages.motion_page import Clip, Group, MotionPage, write_motion_page
 from kinedex.reports.template_figures import row_names, set_rules, soft_colours
 from kinedex.storage.snapshot.parts import joint_positions
@@ -105,7 +105,7 @@ def _medoids(words: Sequence[U64], paths: Sequence[I64], columns: int) -> list[t
     return found
 
 
-def _figure(store: Store, clip: Interval, frame: int) -> F64:
+def _figure(store: Store, clip: Place, frame: int) -> F64:
     """Return the joints (J, 2) of a frame of a clip, seen obliquely from the front: metres to the right and up."""
     take, start, _ = clip
     joints = list(store.feature_set.joints)

@@ -126,7 +126,7 @@ def test_reports_of_the_store_alone_are_served_in_a_sandbox(
     (tmp_path / "secret.html").write_text("secret")
     (folder / "link.html").symlink_to(tmp_path / "secret.html")
     names = ["own/report.html", "own/link.html", "../../../secret.html"]
-    monkeypatch.setattr("kinedex.explorer.reports.report_names", lambda _archive: {("own/learn_templates", "1"): names})
+    monkeypatch.setattr("kinedex.explorer.runs.report_names", lambda _archive: {("own/learn_templates", "1"): names})
     client = connect(copy)
     answer = client.get("/api/reports/own/report.html")
     assert answer.status_code == 200, answer.text

@@ -7,18 +7,8 @@ from html.parser import HTMLParser
 
 import numpy as np
 
-from kinedex.reports.data import (
-    Curve,
-    Failure,
-    FeatureNames,
-    HitCount,
-    ReportData,
-    Score,
-    Segment,
-    StageRow,
-    TakeRow,
-    Template,
-)
+from kinedex.ops.intervals import TakeSegment
+from kinedex.reports.data import Curve, Failure, FeatureNames, HitCount, ReportData, Score, StageRow, TakeRow, Template
 
 MOMENT = datetime(2026, 11, 21, 4, 27, tzinfo=UTC)
 FRAMES = 90
@@ -46,11 +36,15 @@ def study() -> ReportData:
         archive_seconds=30.0,
         takes=(TakeRow("one", FRAMES, 30.0, "ann"), TakeRow("two", FRAMES, 30.0, "bob", ("no header",))),
         automatic=(
-            Segment("one", "squat", 20, 41, 0.02, "squat2Reps"),
-            Segment("one", "kick", 60, 73, 0.1, "kick"),
-            Segment("two", "squat", 0, 45, 0.04, "squat1Reps"),
+            TakeSegment("one", "squat", 20, 41, 0.02, "squat2Reps"),
+            TakeSegment("one", "kick", 60, 73, 0.1, "kick"),
+            TakeSegment("two", "squat", 0, 45, 0.04, "squat1Reps"),
         ),
-        manual=(Segment("one", "squat", 18, 45), Segment("two", "squat", 5, 40), Segment("two", "kick", 50, 70)),
+        manual=(
+            TakeSegment("one", "squat", 18, 45),
+            TakeSegment("two", "squat", 5, 40),
+            TakeSegment("two", "kick", 50, 70),
+        ),
         delta=0.05,
         tau=0.13,
         method="thesis",

@@ -15,8 +15,7 @@ from kinedex.ops.errors import KinedexError
 from kinedex.ops.evaluation.detection import bootstrap
 from kinedex.ops.evaluation.metrics import Counts
 from kinedex.pipelines.evaluation.annotation_scores import Evaluation, Row, write_metrics
-from kinedex.pipelines.evaluation.difference_tables import markdown
-from kinedex.pipelines.evaluation.differences import _difference_of, compared, content, without_repeats
+from kinedex.pipelines.evaluation.differences import _difference_of, compared, content, markdown, without_repeats
 from kinedex.pipelines.evaluation.written_evaluations import MethodEvaluation, pairs, read_run
 from kinedex.reports.comparison_page import comparison_page
 from kinedex.storage.snapshot.manifest import StageRecord

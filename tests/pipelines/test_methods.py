@@ -15,15 +15,15 @@ from rich.console import Console
 from kinedex.console.terminal import Terminal
 from kinedex.ops.errors import KinedexError
 from kinedex.ops.evaluation.metrics import Counts
+from kinedex.ops.intervals import TakeSegment
 from kinedex.pipelines.engine.config import load_pipeline
 from kinedex.pipelines.engine.runner import run_pipeline
-from kinedex.pipelines.evaluation import grid, test_takes
-from kinedex.pipelines.evaluation.grid import Segment
+from kinedex.pipelines.evaluation import grid
+from kinedex.pipelines.evaluation.folds import Fold, TestTake
 from kinedex.pipelines.evaluation.method_scores import chosen_takes, joined, judge, segment_outcomes
 from kinedex.pipelines.evaluation.scheme import METRICS, Method, Split
 from kinedex.pipelines.evaluation.study import SplitResult, Study
 from kinedex.pipelines.evaluation.tables import overview
-from kinedex.pipelines.evaluation.test_takes import Fold
 from kinedex.pipelines.keyframes import runs as keyframe_runs
 from kinedex.pipelines.stages.compare_methods import CompareMethods
 from kinedex.pipelines.stages.evaluate import Evaluate
@@ -308,7 +308,7 @@ def test_no_value_is_cut_on_a_narrow_terminal(line: Comparing) -> None:
 
 def small_split() -> SplitResult:
     take = a_test_take(("a", 0, 4))
-    found = {"t": (Segment("a", 0, 3, 1.0),)}
+    found = {"t": (a_segment("a", 0, 3, 1.0),)}
     judged = {name: judge(found, [take], ["a"], draws=5) for name in ("thesis, τ = 0.13, learned queries", "best")}
     return SplitResult(Split(name="x"), (Fold("x", "all", (), (take,)),), {}, judged, (), ())
 
@@ -400,26 +400,32 @@ def test_queries_that_are_to_be_learned_need_the_stage(line: Comparing, monkeypa
         line.compare([{**BEST, "queries": "learned"}], [{"name": "eve"}])
 
 
-def a_test_take(*truth: tuple[str, int, int], frames: int = 10) -> test_takes.TestTake:
-    return test_takes.TestTake("t", "g", (1,), frames, truth)
+def a_test_take(*truth: tuple[str, int, int], frames: int = 10) -> TestTake:
+    return TestTake("t", "g", (1,), frames, tuple(TakeSegment("t", *one) for one in truth))
+
+
+def a_segment(label: str, start: int, stop: int, confidence: float = 1.0) -> TakeSegment:
+    return TakeSegment("t", label, start, stop, confidence=confidence)
 
 
 def test_a_segment_that_one_method_finds_is_found() -> None:
     truth = a_test_take(("a", 0, 4), ("b", 5, 9))
-    found, missed = segment_outcomes({"one": {"t": (Segment("a", 3, 6, 1.0),)}, "two": {"t": ()}}, [truth])
+    found, missed = segment_outcomes({"one": {"t": (a_segment("a", 3, 6, 1.0),)}, "two": {"t": ()}}, [truth])
     assert (found.label, found.overlaps, found.missed) == ("a", {"one": pytest.approx(1 / 6), "two": 0.0}, False)
     assert (missed.label, missed.labels, missed.missed) == ("b", {"one": ("a",), "two": ()}, True)
 
 
 def test_touching_segments_of_one_class_are_one_where_they_are_joined() -> None:
     truth = a_test_take(("a", 0, 6), ("a", 8, 10), ("b", 2, 4))
-    found = {"t": (Segment("a", 3, 6, 0.2), Segment("b", 2, 4, 1.0), Segment("a", 0, 3, 0.8), Segment("a", 7, 10, 0.5))}
+    spans = (("a", 3, 6, 0.2), ("b", 2, 4, 1.0), ("a", 0, 3, 0.8), ("a", 7, 10, 0.5))
+    found = {"t": tuple(a_segment(*one) for one in spans)}
     mine, (one,) = joined(found, [truth])
-    assert [(each.label, each.start, each.stop, each.sure) for each in mine["t"]] == [
+    assert [(each.label, each.start, each.stop, each.confidence) for each in mine["t"]] == [
         ("a", 0, 6, pytest.approx(0.5)), ("b", 2, 4, 1.0), ("a", 7, 10, 0.5),
     ]  # fmt: skip
-    assert sorted(one.truth) == sorted(truth.truth)
-    assert joined({"t": ()}, [a_test_take(("a", 0, 3), ("a", 3, 6), ("a", 4, 5))])[1][0].truth == (("a", 0, 6),)
+    assert {each.key for each in one.truth} == {each.key for each in truth.truth}
+    touching = a_test_take(("a", 0, 3), ("a", 3, 6), ("a", 4, 5))
+    assert joined({"t": ()}, [touching])[1][0].truth == (TakeSegment("t", "a", 0, 6),)
     result = judge(found, [truth], ["a", "b"], draws=10)
     assert result.precision[0.7] < result.joined_precision[0.6] == 1.0
     assert result.boundaries.tolist() == [[3, 0], [-1, 0], [0, 0]]

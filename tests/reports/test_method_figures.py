@@ -6,8 +6,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from kinedex.ops.evaluation.metrics import Counts
-from kinedex.pipelines.evaluation import test_takes
-from kinedex.pipelines.evaluation.grid import Segment
+from kinedex.ops.intervals import TakeSegment
+from kinedex.pipelines.evaluation.folds import TestTake
 from kinedex.pipelines.evaluation.study import Threshold
 from kinedex.reports.method_figures import ROOMS, bare_part, room_for, strips, sweeps
 
@@ -39,8 +39,8 @@ def test_two_digits_need_more_room_than_one() -> None:
 
 
 def test_numbers_of_blocks_that_lie_on_each_other_do_not() -> None:
-    test_take = test_takes.TestTake("t", "g", (1,), 100, ())
-    found = {"m": {"t": (Segment("a", 0, 50, 1.0), Segment("b", 0, 50, 1.0), Segment("a", 40, 90, 1.0))}}
+    test_take = TestTake("t", "g", (1,), 100, ())
+    found = {"m": {"t": tuple(TakeSegment("t", *one) for one in (("a", 0, 50), ("b", 0, 50), ("a", 40, 90)))}}
     under, middle, over = strips("t", "best", test_take, found, {"a": 1, "b": 2}, 30.0, {}).strips[1].blocks
     assert under.room is None
     assert (middle.middle, over.middle) == (20, 65)

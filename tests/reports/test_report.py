@@ -10,17 +10,9 @@ import numpy as np
 import pytest
 
 from kinedex.ops.errors import KinedexError
+from kinedex.ops.intervals import TakeSegment
 from kinedex.reports.annotation_page import annotation_page
-from kinedex.reports.data import (
-    Curve,
-    Failure,
-    HitCount,
-    Score,
-    Segment,
-    StageRow,
-    TakeRow,
-    Template,
-)
+from kinedex.reports.data import Curve, Failure, HitCount, Score, StageRow, TakeRow, Template
 from kinedex.reports.segment_list import SEGMENTS
 from tests.pipelines.study import FRAMES, Reading, study
 
@@ -79,8 +71,8 @@ def test_names_from_data_never_become_markup() -> None:
         store_path=evil,
         source_roots=(evil,),
         takes=(TakeRow(evil, FRAMES, 30.0, evil, (evil,)),),
-        automatic=(Segment(evil, evil, 0, 9, 0.1, evil + "2"),),
-        manual=(Segment(evil, evil + "3", 0, 9),),
+        automatic=(TakeSegment(evil, evil, 0, 9, 0.1, evil + "2"),),
+        manual=(TakeSegment(evil, evil + "3", 0, 9),),
         scores=tuple(replace(s, name=evil) for s in data.scores),
         templates=(replace(data.templates[0], subclass=evil, label=evil, clips=(evil,)),),
         curves=(Curve(evil, evil, np.full(FRAMES, 0.1)),),
@@ -134,7 +126,7 @@ def test_missing_data_is_reported(change: dict[str, object], sentence: str) -> N
 
 def test_classes_that_only_one_side_knows_are_named() -> None:
     data = study()
-    jump = replace(data, manual=(*data.manual, Segment("two", "jump", 80, 90)))
+    jump = replace(data, manual=(*data.manual, TakeSegment("two", "jump", 80, 90)))
     assert "without a template, which cannot be found: jump" in Reading(annotation_page(jump)).text
     no_kick = replace(data, manual=data.manual[:2])
     assert "all their segments count as false: kick" in Reading(annotation_page(no_kick)).text
@@ -176,7 +168,7 @@ def test_forty_takes_of_fifteen_classes_stay_below_five_megabytes() -> None:
     labels = [f"class{i:02d}" for i in range(15)]
     takes = tuple(TakeRow(f"take{i:03d}", 3600, 30.0) for i in range(40))
     segments = tuple(
-        Segment(take.name, labels[int(generator.integers(15))], start, start + 40, 0.1, "sub")
+        TakeSegment(take.name, labels[int(generator.integers(15))], start, start + 40, 0.1, "sub")
         for take in takes
         for start in range(0, 3500, 45)
     )

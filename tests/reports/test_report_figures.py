@@ -8,15 +8,11 @@ import numpy as np
 import pytest
 
 from kinedex.ops.errors import ParameterError
+from kinedex.ops.intervals import TakeSegment
 from kinedex.pipelines.engine.page_files import write_page
 from kinedex.reports.axes import time_axis
 from kinedex.reports.curves import HEIGHT, POINTS, curve_figure, line, minima, thin
-from kinedex.reports.data import (
-    Curve,
-    Score,
-    Segment,
-    TakeRow,
-)
+from kinedex.reports.data import Curve, Score, TakeRow
 from kinedex.reports.palette import CLASS_COLOURS
 from kinedex.reports.pixels import SCALE, quantised_image, soft_image, wildcard_share
 from kinedex.reports.take_selection import choose_takes, median_take, worst_middle_best
@@ -40,16 +36,16 @@ def test_a_segment_that_the_other_side_does_not_confirm_is_marked() -> None:
 
 def test_segments_that_only_touch_do_not_confirm_each_other() -> None:
     take = TakeRow("t", 30, 30.0)
-    drawn = timeline(take, [Segment("t", "a", 0, 10)], [Segment("t", "a", 10, 20)], {"a": 0})
+    drawn = timeline(take, [TakeSegment("t", "a", 0, 10)], [TakeSegment("t", "a", 10, 20)], {"a": 0})
     assert drawn.lanes[0].automatic[0].agrees is False
     assert drawn.lanes[0].manual[0].agrees is False
 
 
 def test_without_ground_truth_no_segment_is_wrong() -> None:
-    drawn = timeline(TakeRow("t", 30, 30.0), [Segment("t", "a", 0, 10)], [], {"a": 0})
+    drawn = timeline(TakeRow("t", 30, 30.0), [TakeSegment("t", "a", 0, 10)], [], {"a": 0})
     assert drawn.lanes[0].automatic[0].agrees is None
     empty = Score("annotate", "take", "t", f1=0.0)  # somebody found nothing in it, so all that is found is wrong
-    drawn = timeline(TakeRow("t", 30, 30.0), [Segment("t", "a", 0, 10)], [], {"a": 0}, empty)
+    drawn = timeline(TakeRow("t", 30, 30.0), [TakeSegment("t", "a", 0, 10)], [], {"a": 0}, empty)
     assert drawn.lanes[0].automatic[0].agrees is False
 
 

@@ -14,10 +14,11 @@ import polars as pl
 import pyarrow as pa
 import pytest
 
+from kinedex.ops.intervals import TakeSegment
 from kinedex.pipelines.labels.selection import Selection, selected
 from kinedex.reports.annotation_page import annotation_page, confirmations, hits_to_play
 from kinedex.reports.archive_strip import BINS, archive_strip
-from kinedex.reports.data import ReportData, Segment, TakeRow
+from kinedex.reports.data import ReportData, TakeRow
 from kinedex.reports.overview import class_findings, group_findings, most_doubtful, surest, totals
 from kinedex.reports.palette import CLASS_COLOURS
 from kinedex.reports.segment_list import LOOKS, MOST_ROWS, csv_lines, in_order
@@ -54,7 +55,7 @@ def test_what_was_found_comes_before_a_word_of_explanation() -> None:
 
 def test_totals_count_a_frame_with_two_labels_once() -> None:
     data = unlabelled()
-    both = replace(data, automatic=(*data.automatic, Segment("one", "kick", 30, 50, 0.1, "kick", 0.2)))
+    both = replace(data, automatic=(*data.automatic, TakeSegment("one", "kick", 30, 50, 0.1, "kick", 0.2)))
     found = totals(both)
     assert (found.segments, found.classes, found.takes) == (4, 2, 2)
     assert found.labelled == pytest.approx((30 + 13 + 45) / 30)
@@ -68,7 +69,7 @@ def test_totals_count_a_frame_with_two_labels_once() -> None:
 
 def test_the_surest_and_the_most_doubtful_are_of_different_classes_first() -> None:
     made = [("a", 0.9), ("a", 0.8), ("b", 0.7), ("c", 0.2), ("c", 0.1), ("a", None)]
-    segments = [Segment("t", label, i, i + 1, 0.1, label, sure) for i, (label, sure) in enumerate(made)]
+    segments = [TakeSegment("t", label, i, i + 1, 0.1, label, sure) for i, (label, sure) in enumerate(made)]
     assert [one.start for one in surest(segments, 3)] == [0, 2, 3]
     assert [one.start for one in most_doubtful(segments, 3)] == [4, 2, 1]
     assert [one.start for one in surest(segments, 5)] == [0, 1, 2, 3, 4]
@@ -86,7 +87,7 @@ def test_the_least_confident_segments_come_first_and_the_file_has_all() -> None:
 
 
 def test_rows_of_the_file_choose_annotations(tmp_path: Path) -> None:
-    evil = Segment("=take", "=1+1", 3, 9, 0.1, "x", 0.5)
+    evil = TakeSegment("=take", "=1+1", 3, 9, 0.1, "x", 0.5)
     data = replace(unlabelled(), takes=(TakeRow("=take", 30, 30.0),), automatic=(evil,))
     (tmp_path / "rows.csv").write_text("".join(csv_lines(data)))
     table = pa.table({"take": ["=take", "b"], "class": ["=1+1", "c"], "start": pa.array([3, 0], pa.int32()),
@@ -98,7 +99,7 @@ def test_fifty_thousand_segments_leave_the_page_small_and_it_tells_where_the_oth
     generator = np.random.default_rng(1)
     takes = tuple(TakeRow(f"take_{i:05d}", 3000, 30.0) for i in range(500))
     segments = tuple(
-        Segment(take.name, f"class{i % 30:02d}", 30 * i, 30 * i + 25, 0.05, "sub", float(generator.random()))
+        TakeSegment(take.name, f"class{i % 30:02d}", 30 * i, 30 * i + 25, 0.05, "sub", float(generator.random()))
         for take in takes
         for i in range(100)
     )
@@ -113,8 +114,8 @@ def test_fifty_thousand_segments_leave_the_page_small_and_it_tells_where_the_oth
 
 
 def test_takes_without_ground_truth_are_chosen_by_what_was_found() -> None:
-    segments = [Segment(f"t{i:02d}", "a", k, k + 1, 0.1, "a", 0.5) for i in range(20) for k in range(i)]
-    segments += [Segment("t03", "a", 50, 60, 0.1, "a", 0.01)]
+    segments = [TakeSegment(f"t{i:02d}", "a", k, k + 1, 0.1, "a", 0.5) for i in range(20) for k in range(i)]
+    segments += [TakeSegment("t03", "a", 50, 60, 0.1, "a", 0.01)]
     names = [f"t{i:02d}" for i in range(20)]
     choice = choose_takes(names, {}, findings=findings_of(segments), max_takes=8)
     assert choice.shown[:4] == ("t19", "t18", "t17", "t03")
@@ -125,7 +126,7 @@ def test_takes_without_ground_truth_are_chosen_by_what_was_found() -> None:
     disagreeing = choose_takes(names, {}, findings=findings_of(doubted), max_takes=8)
     assert disagreeing.look[0] == "t05"
     assert "another method disagrees" in disagreeing.reason
-    assert choose_takes(["b", "a"], {}, findings=findings_of([Segment("b", "x", 0, 1)])).shown == ("b", "a")
+    assert choose_takes(["b", "a"], {}, findings=findings_of([TakeSegment("b", "x", 0, 1)])).shown == ("b", "a")
 
 
 def test_takes_are_grouped_by_actor_then_by_the_pattern_then_by_folder() -> None:
@@ -149,7 +150,7 @@ def test_takes_are_grouped_by_actor_then_by_the_pattern_then_by_folder() -> None
 
 def test_the_archive_is_laid_out_in_columns_whose_heights_are_shares_of_time() -> None:
     takes = [TakeRow("a", 500, 30.0, group="x"), TakeRow("b", 500, 30.0, group="y")]
-    segments = [Segment("a", "walk", 0, 250), Segment("b", "run", 0, 500), Segment("a", "walk", 100, 250)]
+    segments = [TakeSegment("a", "walk", 0, 250), TakeSegment("b", "run", 0, 500), TakeSegment("a", "walk", 100, 250)]
     strip = archive_strip(takes, segments, {"run": 0, "walk": 1})
     assert [area.path for area in strip.lanes] == [
         f"M{BINS // 2} 10v-10h{BINS // 2}v10z",
@@ -157,7 +158,7 @@ def test_the_archive_is_laid_out_in_columns_whose_heights_are_shares_of_time() -
     ]
     assert [(band.name, band.left, band.width) for band in strip.bands] == [("x", 0.0, 50.0), ("y", 50.0, 50.0)]
     assert strip.takes == (("a", 0.0, 50.0), ("b", 50.0, 50.0))
-    sparse = archive_strip([TakeRow("a", 100_000, 30.0)], [Segment("a", "walk", 0, 10)], {"walk": 0})
+    sparse = archive_strip([TakeRow("a", 100_000, 30.0)], [TakeSegment("a", "walk", 0, 10)], {"walk": 0})
     assert sparse.lanes[0].path == "M0 10v-1h1v1z"
     assert archive_strip([], [], {}).strip == ()
 

@@ -14,11 +14,12 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from kinedex.ops.errors import KinedexError
+from kinedex.ops.intervals import TakeSegment
 from kinedex.pipelines.engine.runner import run_pipeline
 from kinedex.pipelines.templates.nearest_examples import nearest_examples
 from kinedex.reports import motions
 from kinedex.reports.annotation_page import annotation_page
-from kinedex.reports.data import Segment, Template
+from kinedex.reports.data import Template
 from kinedex.reports.example_motions import with_hits
 from kinedex.reports.motions import FINEST_M, UNSEEN, Motion, embed, motions_json, pack
 from kinedex.storage.snapshot.parts import joint_positions
@@ -107,7 +108,7 @@ def test_the_nearest_example_of_a_hit_is_the_clip_that_it_repeats(store: Store) 
     names = store.takes()["name"].to_list()[:3]
     clips = (names[0], f"{names[1]}[2:14]", "gone")
     template = Template("walk", "walk", "soft", np.zeros((2, 40)), clips, 1)
-    hits = [Segment(names[1], "walk", 1, 16, 0.1, "walk", 0.5), Segment(names[2], "run", 0, 9, 0.1, "run")]
+    hits = [TakeSegment(names[1], "walk", 1, 16, 0.1, "walk", 0.5), TakeSegment(names[2], "run", 0, 9, 0.1, "run")]
     bars = CountedBars()
     motions, near = with_hits(store, embed(store, [names[1]]), hits, [], [template], bars)
     assert bars.seen == [("nearest examples", 1, 1)]

@@ -6,8 +6,8 @@ from dataclasses import replace
 
 import pytest
 
+from kinedex.ops.intervals import TakeSegment
 from kinedex.reports.annotation_page import annotation_page
-from kinedex.reports.data import Segment
 from kinedex.reports.reliability import SIDE, reliability_figure
 from tests.pipelines.study import study
 
@@ -15,12 +15,12 @@ from tests.pipelines.study import study
 def test_bars_are_as_high_as_shares_of_right_segments() -> None:
     data = study()
     take = data.takes[0].name
-    manual = (Segment(take, "walk", 0, 10), Segment(take, "walk", 10, 20), Segment(take, "kick", 20, 40))
+    manual = (TakeSegment(take, "walk", 0, 10), TakeSegment(take, "walk", 10, 20), TakeSegment(take, "kick", 20, 40))
     automatic = (
-        Segment(take, "walk", 2, 22, 0.1, "walk", 0.9),  # two manual ones cover most of it
-        Segment(take, "kick", 35, 50, 0.1, "kick", 0.95),  # a third of its frames
-        Segment(take, "kick", 22, 30, 0.1, "kick", 0.3),
-        Segment(take, "kick", 22, 30, 0.1, "kick", None),
+        TakeSegment(take, "walk", 2, 22, 0.1, "walk", 0.9),  # two manual ones cover most of it
+        TakeSegment(take, "kick", 35, 50, 0.1, "kick", 0.95),  # a third of its frames
+        TakeSegment(take, "kick", 22, 30, 0.1, "kick", 0.3),
+        TakeSegment(take, "kick", 22, 30, 0.1, "kick", None),
     )
     figure = reliability_figure(replace(data, automatic=automatic, manual=manual))
     assert figure is not None

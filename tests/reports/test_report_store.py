@@ -11,14 +11,12 @@ import pytest
 from kinedex.catalog.features import FeatureSet, load_feature_set
 from kinedex.console.terminal import Terminal
 from kinedex.ops.errors import KinedexError
+from kinedex.ops.intervals import TakeSegment
 from kinedex.pipelines.engine.context import StageContext
 from kinedex.pipelines.engine.executors import make_executor
 from kinedex.reports.annotation_data import read_report_data
 from kinedex.reports.annotation_page import annotation_page
-from kinedex.reports.data import (
-    Failure,
-    Segment,
-)
+from kinedex.reports.data import Failure
 from kinedex.reports.stages.report import Report
 from kinedex.storage.snapshot.manifest import StageRecord
 from kinedex.storage.snapshot.schemas import frames_schema, result_schema, takes_schema
@@ -134,8 +132,8 @@ def test_a_store_gives_everything_that_a_report_shows(store: Path) -> None:
     assert data.archive_takes == 3
     assert data.title == "Annotation of archive"
     assert (data.delta, data.tau, data.searched_share) == (0.04, 0.11, 0.5)
-    assert data.automatic == (Segment("long_1", "squat", 20, 41, 0.01, "squat1Reps"),)
-    assert data.manual == (Segment("long_1", "squat", 21, 44),)
+    assert data.automatic == (TakeSegment("long_1", "squat", 20, 41, 0.01, "squat1Reps"),)
+    assert data.manual == (TakeSegment("long_1", "squat", 21, 44),)
     main, held = data.pooled(data.evaluation), data.pooled(data.held_out)
     assert main is not None
     assert held is not None

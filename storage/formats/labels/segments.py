@@ -88,7 +88,7 @@ class ManualSegment:
     stop : float
         Source frame after the last, or second if `in_seconds`.
     path : str
-        The label file.
+        The label file; empty if a segment is from none.
     line : int, optional
         Line in the file, from 1.
     in_seconds : bool
@@ -105,7 +105,7 @@ class ManualSegment:
     label: str
     start: float
     stop: float
-    path: str
+    path: str = ""
     line: int | None = None
     in_seconds: bool = False
     place: str = ""

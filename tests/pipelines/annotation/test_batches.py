@@ -168,9 +168,9 @@ def test_learned_queries_preselect_besides_those_of_files_for_a_subclass_or_its_
     written, for_wave = replace(KICK, name="kick"), KeyframeQuery("wave", "wave", for_legs.keyframes, ())
     learned = replace(KICK, name="kick", margins=(3, 3))
     templates = [template("kick"), template("walk"), template("wave")]
-    made = make_annotator(BODY, templates, classes, 0.05, 0.13, (for_legs,), learned=(learned, for_wave))
+    made = make_annotator(BODY, templates, classes, 0.05, 0.13, (for_legs,)).with_learned((learned, for_wave), classes)
     assert made.queries == ((for_legs, learned), (for_legs,), (for_wave,))
-    made = make_annotator(BODY, templates, classes, 0.05, 0.13, (written, for_legs), learned=(learned,))
+    made = make_annotator(BODY, templates, classes, 0.05, 0.13, (written, for_legs)).with_learned((learned,), classes)
     assert made.queries == ((written, learned), (for_legs,), ())
 
 

@@ -45,12 +45,12 @@ def calibrated(some: Sequence[TrainingClips], method: str = "best", actor: str |
     def learn(few: Sequence[TrainingClips]) -> list[SubclassTemplate]:
         return [one for task in learn_templates(few, ["soft"], 40, executor) for one in task]
 
-    def make(templates: Sequence[SubclassTemplate], rest: Sequence[TrainingClips], *_: object) -> Annotator:
+    def make(rest: Sequence[TrainingClips], *_: object) -> Annotator:
         chosen, words = annotation_method(method), [words for one in rest for words in one.words]
-        return make_annotator(BODY, templates, classes, 0.05, 0.13, method=chosen, clips=lambda: words)
+        return make_annotator(BODY, learn(rest), classes, 0.05, 0.13, method=chosen, clips=lambda: words)
 
     actors = {name: actor or name.split("_")[0] for one in some for name in one.names}
-    return calibrate_confidence(some, actors, classes, method, Target([30, 30], ["new", None]), learn, make, executor)
+    return calibrate_confidence(some, actors, classes, method, Target([30, 30], ["new", None]), make, executor)
 
 
 PEOPLE = [f"p{number}" for number in range(8)]

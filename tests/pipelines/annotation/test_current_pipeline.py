@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from kinedex.ops.errors import KinedexError
-from kinedex.pipelines.annotation.labels import annotate_stage
+from kinedex.pipelines.annotation.tables import annotate_stage
 from kinedex.pipelines.keyframes.stored_queries import stored_queries
 from kinedex.pipelines.templates.stored_templates import stored_templates
 from kinedex.storage.store.store import Store, open_store

@@ -11,8 +11,9 @@ from typer.testing import CliRunner
 
 from kinedex.commands.cli import app
 from kinedex.ops.errors import KinedexError
-from kinedex.pipelines.annotation.labels import annotate_stage, labels_of, source_frame
-from kinedex.pipelines.evaluation.ground_truth import analysis_frame
+from kinedex.ops.intervals import analysis_frame, source_frame
+from kinedex.pipelines.annotation.tables import annotate_stage
+from kinedex.pipelines.labels.label_files import labels_of
 from kinedex.pipelines.stages.annotate import Annotate
 from kinedex.pipelines.stages.evaluate import Evaluate
 from kinedex.pipelines.stages.learn_templates import LearnTemplates

@@ -17,6 +17,7 @@ from kinedex.catalog.classes import Classes, MotionClass
 from kinedex.console.terminal import Terminal
 from kinedex.ops.errors import KinedexError, SourceError
 from kinedex.ops.evaluation.metrics import Counts
+from kinedex.ops.intervals import analysis_frame
 from kinedex.pipelines.evaluation.annotation_scores import (
     Evaluation,
     evaluate,
@@ -27,7 +28,6 @@ from kinedex.pipelines.evaluation.annotation_scores import (
 from kinedex.pipelines.evaluation.ground_truth import (
     GroundTruth,
     UnknownLabels,
-    analysis_frame,
     ground_truth_of_classes,
     ground_truth_rows,
     place_ground_truth,

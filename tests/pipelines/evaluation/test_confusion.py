@@ -6,9 +6,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from kinedex.pipelines.evaluation import test_takes
+from kinedex.ops.intervals import TakeSegment
 from kinedex.pipelines.evaluation.confusion import EXTRA, LACKING, NOTHING, Confusion, confusion, confusions
-from kinedex.pipelines.evaluation.grid import Segment
+from kinedex.pipelines.evaluation.folds import TestTake
 from tests.oracles import confusion as oracle
 
 Spans = list[tuple[str, int, int]]
@@ -18,8 +18,8 @@ NAMES = ("a", "b", NOTHING, EXTRA)
 
 
 def of(mine: Spans, true: Spans, names: tuple[str, ...], frames: int) -> Confusion:
-    test_take = test_takes.TestTake("t", "g", (1,), frames, tuple(true))
-    return confusion({"t": [Segment(*one, 1.0) for one in mine]}, [test_take], names)
+    test_take = TestTake("t", "g", (1,), frames, tuple(TakeSegment("t", *one) for one in true))
+    return confusion({"t": [TakeSegment("t", *one) for one in mine]}, [test_take], names)
 
 
 def table(found: Confusion) -> dict[tuple[str, str], float]:

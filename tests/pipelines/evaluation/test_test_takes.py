@@ -8,10 +8,9 @@ import numpy as np
 import polars as pl
 
 from kinedex.catalog.classes import Classes, MotionClass
-from kinedex.pipelines.evaluation.folds import Material, make_folds
+from kinedex.pipelines.evaluation.folds import Fold, Material, make_folds
 from kinedex.pipelines.evaluation.ground_truth import GroundTruth, Manual
 from kinedex.pipelines.evaluation.scheme import Split
-from kinedex.pipelines.evaluation.test_takes import Fold
 from kinedex.pipelines.templates.learning import TrainingClips
 
 CLASSES = Classes(tuple(MotionClass(name, name, (name,)) for name in ("walk", "kick")))

@@ -15,9 +15,10 @@ from typer.testing import CliRunner
 import kinedex
 from docs.generators.json_documents import DOCUMENTS
 from kinedex.commands.cli import app
-from kinedex.pipelines.labels.segments import Difference, Segment, differences
+from kinedex.pipelines.labels.segments import Difference, differences
 from kinedex.pipelines.stages.annotate import Annotate
 from kinedex.pipelines.stages.learn_templates import LearnTemplates
+from kinedex.storage.formats.labels.segments import ManualSegment
 from tests.pipelines.labelled import Line, clip, labelled_line, long_take, write_store
 
 
@@ -40,15 +41,15 @@ def labels(line: Line, *options: object) -> list[dict[str, object]]:
     return found
 
 
-def segment(label: str, start: float, stop: float, take: str = "a") -> Segment:
-    return Segment(take, label, start, stop)
+def segment(label: str, start: float, stop: float, take: str = "a") -> ManualSegment:
+    return ManualSegment(take, label, start, stop)
 
 
 segments = st.builds(segment, st.sampled_from("xy"), st.integers(0, 4), st.integers(5, 9), st.sampled_from("ab"))
 
 
 @given(st.lists(segments, unique=True, max_size=6), st.lists(segments, unique=True, max_size=6))
-def test_every_segment_is_in_one_difference(before: list[Segment], after: list[Segment]) -> None:
+def test_every_segment_is_in_one_difference(before: list[ManualSegment], after: list[ManualSegment]) -> None:
     found = differences(before, after)
     assert sorted(map(str, before)) == sorted(str(one.before) for one in found if one.before)
     assert sorted(map(str, after)) == sorted(str(one.after) for one in found if one.after)

@@ -16,8 +16,8 @@ from kinedex.commands.cli import app
 from kinedex.commands.output import show_outcome
 from kinedex.pipelines.engine.config import load_pipeline
 from kinedex.pipelines.engine.runner import Outcome
-from kinedex.pipelines.evaluation.label_files import GroundTruthParameters, ground_truth
-from kinedex.pipelines.labels.label_takes import on_takes
+from kinedex.pipelines.evaluation.ground_truth import GroundTruthParameters, ground_truth
+from kinedex.pipelines.labels.segments import on_takes
 from kinedex.pipelines.labels.unmatched_labels import (
     UNMATCHED,
     UnmatchedLabels,

@@ -10,7 +10,7 @@ from typer.testing import CliRunner
 from kinedex.commands.cli import app
 from kinedex.ops.errors import KinedexError
 from kinedex.pipelines.inertial.limb_labels import stored_limb_labels
-from kinedex.pipelines.labels.decisions import import_corrected_labels, import_labels
+from kinedex.pipelines.labels.decisions import import_labels
 from kinedex.pipelines.labels.label_files import label_differences, label_files
 from kinedex.pipelines.templates.examples import ExampleParameters, examples_of
 from kinedex.storage.store.store import Store, open_store
@@ -112,7 +112,7 @@ def test_corrections_of_a_limb_are_those_of_its_annotator(store: Path, tmp_path:
     opened = open_store(store)
     import_labels(opened, label_files([file]))
     after.write_text(FILE.replace("0,40,lshank,A2", "4,40,lshank,A2"))
-    made = import_corrected_labels(opened, label_files([after]), annotator="carl").rows.to_pylist()
+    made = import_labels(opened, label_files([after]), "labels", annotator="carl").rows.to_pylist()
     assert [tuple(row[name] for name in COLUMNS) for row in made] == [
         ("a_take01", "error", 1, 10, "lshank", "A2", "positive")
     ]

@@ -20,8 +20,8 @@ from kinedex.ops.inertial.orientation_filter import estimate
 from kinedex.ops.inertial.rotations import conjugate, distance_deg, interpolate, multiply
 from kinedex.pipelines.inertial.limb_motion import LimbMotion, stored_limbs
 from kinedex.pipelines.simulation.imu_recordings import (
+    ClassTime,
     Request,
-    Segment,
     TakeToSimulate,
     Windowing,
     segment_rows,
@@ -214,7 +214,7 @@ def test_windows_have_the_class_of_their_take(store: Path, tmp_path: Path) -> No
 
 
 def test_windows_count_what_covers_them() -> None:
-    segments = [Segment("label", "walk", 0.0, 1.2), Segment("label", "turn", 1.2, 2.0)]
+    segments = [ClassTime("label", "walk", 0.0, 1.2), ClassTime("label", "turn", 1.2, 2.0)]
     times = np.arange(30) / 10
     found = segment_rows(segments, times)
     assert found == [("label", "walk", 0, 12), ("label", "turn", 12, 20)]
