@@ -7,6 +7,7 @@ import { useEffect, useMemo, useState } from "react";
 import { Link } from "wouter";
 
 import { post } from "../api/client";
+import { shownSeconds } from "../api/seconds";
 import type { StoreFacts } from "../api/types";
 import { takeAddress, useJsonParameter, useParameter, useParameters } from "../app/address";
 import { Fault } from "../app/Fault";
@@ -215,7 +216,7 @@ function Examples({ question, store }: { question: ExamplesQuestion; store: Stor
         <Link href={takeAddress(one.take, one.start, one.stop)}>{one.take}</Link>
         <br />
         <span className="muted">
-          {(one.start / store.rate_hz).toFixed(2)} to {(one.stop / store.rate_hz).toFixed(2)} s
+          {shownSeconds(one.start, store.rate_hz)} to {shownSeconds(one.stop, store.rate_hz)} s
           {one.mirrored ? ", mirrored" : ""}
         </span>
         {positives.length + negatives.length > 1 && (
@@ -264,7 +265,7 @@ function Ends({ interval, frames, rateHz }: { interval: Interval; frames: number
     // the range stays while somebody drags, until an end has come to its edge
     setRange((before) => (start > before[0] && stop < before[1] ? before : rangeAround(start, stop, frames)));
   }, [start, stop, frames]);
-  const shown = (frame: number) => `${(frame / rateHz).toFixed(2)} s`;
+  const shown = (frame: number) => `${shownSeconds(frame, rateHz)} s`;
   return (
     <div className="ends">
       <RangeSlider

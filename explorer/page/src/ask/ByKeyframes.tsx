@@ -7,6 +7,7 @@ import { keepPreviousData, useQuery } from "@tanstack/react-query";
 import { useEffect, useMemo, useRef, useState } from "react";
 
 import { get, post } from "../api/client";
+import { shownSeconds } from "../api/seconds";
 import type { StoreFacts } from "../api/types";
 import { useParameter, useParameters } from "../app/address";
 import { Fault } from "../app/Fault";
@@ -234,7 +235,7 @@ function FromTake({
         </Button>
         {id !== undefined && from !== null && to !== null && (
           <Button size="compact-sm" variant="default" loading={busy} onClick={() => void ofInterval()}>
-            Propose from {(Number(from) / store.rate_hz).toFixed(1)} to {(Number(to) / store.rate_hz).toFixed(1)} s
+            Propose from {shownSeconds(Number(from), store.rate_hz, 1)} to {shownSeconds(Number(to), store.rate_hz, 1)} s
           </Button>
         )}
       </Group>

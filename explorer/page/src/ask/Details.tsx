@@ -4,6 +4,7 @@ import { Button, CloseButton, Group, Loader, Text, Title } from "@mantine/core";
 import { keepPreviousData, useQuery } from "@tanstack/react-query";
 import { Link } from "wouter";
 
+import { shownSeconds } from "../api/seconds";
 import { takeAddress } from "../app/address";
 import { Fault } from "../app/Fault";
 import { SmallFigure } from "../motion/SmallFigure";
@@ -28,7 +29,7 @@ export interface DetailsProps {
 }
 
 export function Details({ hit, rateHz, explain, verdict, known = [], onVerdict, onClose }: DetailsProps) {
-  const seconds = (frame: number) => (frame / rateHz).toFixed(2);
+  const seconds = (frame: number) => shownSeconds(frame, rateHz);
   const example = `/ask?take=${encodeURIComponent(hit.take)}&from=${hit.start}&to=${hit.stop}`;
   return (
     <aside className="details" aria-label="The chosen hit">
@@ -122,7 +123,7 @@ export function FitCurve({ fit, hit, rateHz }: { fit: HitAnswer; hit: Hit; rateH
     if (cost !== null) line += `${open ? "L" : "M"}${x(fit.first + i).toFixed(1)} ${y(cost).toFixed(1)}`;
     open = cost !== null;
   });
-  const label = `Distance to the example from ${(fit.first / rateHz).toFixed(1)} s on; least ${fit.cost?.toFixed(3) ?? ""} at the end of the hit; threshold ${fit.tau}`;
+  const label = `Distance to the example from ${shownSeconds(fit.first, rateHz, 1)} s on; least ${fit.cost?.toFixed(3) ?? ""} at the end of the hit; threshold ${fit.tau}`;
   return (
     <figure className="plot">
       <figcaption>Distance, and τ</figcaption>

@@ -5,6 +5,7 @@ import { Text } from "@mantine/core";
 import { useQuery } from "@tanstack/react-query";
 import { useEffect, useState } from "react";
 
+import { shownSeconds } from "../api/seconds";
 import { type Explain, FitCurve, FitPath } from "./Details";
 import { type Hit, keyOf } from "./types";
 
@@ -39,7 +40,7 @@ export function FitPreview({ hit, cell, rateHz, explain }: FitPreviewProps) {
   return (
     <div className="fit-preview" style={{ left, top, width: WIDTH, height: HEIGHT }} aria-hidden="true">
       <Text size="xs" truncate>
-        {hit.take}, {(hit.start / rateHz).toFixed(2)} to {(hit.stop / rateHz).toFixed(2)} s
+        {hit.take}, {shownSeconds(hit.start, rateHz)} to {shownSeconds(hit.stop, rateHz)} s
       </Text>
       <FitCurve fit={fit.data} hit={hit} rateHz={rateHz} />
       <FitPath fit={fit.data} hit={hit} />

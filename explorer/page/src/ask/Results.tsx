@@ -7,6 +7,7 @@ import { memo, useCallback, useEffect, useMemo, useRef, useState } from "react";
 import { useLocation } from "wouter";
 
 import { post } from "../api/client";
+import { shownSeconds } from "../api/seconds";
 import { takeAddress, useParameter } from "../app/address";
 import { useShortcuts } from "../app/shortcuts";
 import { SmallFigure } from "../motion/SmallFigure";
@@ -175,7 +176,7 @@ const Cell = memo(function Cell(props: CellProps) {
   ];
   // what a screen reader says holds what is shown, in this order
   const shown = [number, ...marks, hit.take, example ? "example" : ""].filter((one) => one !== "").join(" ");
-  const at = `at ${(hit.start / rateHz).toFixed(1)} s${earlier ? ", decided with other ends" : ""}`;
+  const at = `at ${shownSeconds(hit.start, rateHz, 1)} s${earlier ? ", decided with other ends" : ""}`;
   return (
     <div
       className="hit"

@@ -58,11 +58,7 @@ export interface Verdicts {
 export function decided(verdicts: Side, hit: Interval, verdict: Verdict | null): Side {
   const others = Object.entries(verdicts).filter(([key]) => !samePlace(intervalOf(key), hit));
   const next = { ...Object.fromEntries(others) };
-  return verdict === null ? next : { ...next, [keyOf(asInterval(hit))]: verdict };
-}
-
-function asInterval({ take, start, stop, mirrored }: Interval): Interval {
-  return { take, start, stop, mirrored };
+  return verdict === null ? next : { ...next, [keyOf(hit)]: verdict };
 }
 
 /** Return a function that answers with the verdict on a hit: its own, or that of the interval that shares most with it. */

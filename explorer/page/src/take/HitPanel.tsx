@@ -11,18 +11,18 @@ import { colours, onTheme } from "../motion/colours";
 import { frameClock } from "./axis";
 import { Panel } from "./panels";
 import type { Session } from "./session";
-import type { Hit, TemplateImage } from "./types";
+import type { FittedHit, TemplateImage } from "./types";
 
 const ROW = 4;
 
 export interface HitPanelProps {
   session: Session;
   name: string;
-  hit: Hit | undefined;
+  hit: FittedHit | undefined;
   image: TemplateImage | undefined;
   fault: unknown;
   features: readonly Feature[];
-  onBeside: (hit: Hit) => void;
+  onBeside: (hit: FittedHit) => void;
   onClose: () => void;
 }
 
@@ -102,7 +102,7 @@ export function HitPanel({ session, name, hit, image, fault, features, onBeside,
 }
 
 /** Return the frame of a hit at a column of the template. */
-export function frameOfColumn(hit: Hit, column: number): number {
+export function frameOfColumn(hit: FittedHit, column: number): number {
   const { columns, start } = hit;
   let best = 0;
   columns.forEach((one, i) => {

@@ -24,7 +24,7 @@ import type { Row } from "./rows";
 import { RunsTable } from "./RunsTable";
 import type { Session } from "./session";
 import { segmentStarts, useClassColours, useClosed, usePicked, useSession, useTemplateNames } from "./state";
-import type { ErrorLimb, Hit, Lane, Segment, TakeDocument, TakeTemplates } from "./types";
+import type { ErrorLimb, FittedHit, Lane, Segment, TakeDocument, TakeTemplates } from "./types";
 
 /** One take: its motion, and under it lanes of all that is known about it. */
 export default function TakePage() {
@@ -83,7 +83,7 @@ function OpenTake({ document, store }: { document: TakeDocument; store: StoreFac
     },
     [pick],
   );
-  const onBeside = (found: Hit) => {
+  const onBeside = (found: FittedHit) => {
     if (found.example === null) return;
     session.select([found.start, found.stop]);
     session.seek(found.start);

@@ -13,7 +13,7 @@ import { useDocument, useMotion } from "./load";
 import { type Pairing, partnerOf } from "./pairing";
 import { Panel } from "./panels";
 import type { Session } from "./session";
-import type { Aligned, Hit, TakeDocument } from "./types";
+import type { Aligned, FittedHit, TakeDocument } from "./types";
 
 export type Step = "hit" | "dtw" | "time";
 
@@ -24,7 +24,7 @@ export interface Beside {
 }
 
 /** Return the second take that the address names, if any, and the panel that chooses it. */
-export function useBeside(session: Session, document: TakeDocument, first: Actor, hit: Hit | undefined): Beside {
+export function useBeside(session: Session, document: TakeDocument, first: Actor, hit: FittedHit | undefined): Beside {
   const [name] = useParameter("beside");
   const [step] = useParameter("step");
   const [mode] = useParameter("mode");

@@ -7,7 +7,7 @@ import { get, getBytes, getStream } from "../api/client";
 import { Motion, readBlocks } from "../motion/motion";
 import type { CurveRow } from "./rows";
 import type { Session } from "./session";
-import type { ErrorLimb, Hit, TakeDocument, TakeLanes, TakeTemplates, TemplateImage } from "./types";
+import type { ErrorLimb, FittedHit, TakeDocument, TakeLanes, TakeTemplates, TemplateImage } from "./types";
 import { Words } from "./words";
 
 const path = (id: number, rest = "") => `/api/takes/${id}${rest}`;
@@ -170,7 +170,7 @@ export function useHit(id: number, version: number, name: string | null, frame: 
     queryFn: ({ signal }) => {
       const question = offered === undefined || name === null ? "" : about(name, offered);
       const tau = offered === undefined || name === null ? 0.1 : thresholdOf(name, offered);
-      return get<Hit>(path(id, `/hit?${question}&frame=${frame}&tau=${tau}`), signal);
+      return get<FittedHit>(path(id, `/hit?${question}&frame=${frame}&tau=${tau}`), signal);
     },
     enabled: name !== null && offered !== undefined,
   });

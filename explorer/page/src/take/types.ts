@@ -91,7 +91,8 @@ export interface TemplateImage extends Same {
   clips: string[];
 }
 
-export interface Hit extends Same {
+/** The hit of a template that is nearest to a frame, with how the template fits it. */
+export interface FittedHit extends Same {
   start: number;
   stop: number;
   cost: number;

@@ -4,6 +4,7 @@ import { Button, Text } from "@mantine/core";
 import { useState } from "react";
 import { Link } from "wouter";
 
+import { shownSeconds } from "../api/seconds";
 import { takeAddress } from "../app/address";
 import { SmallFigure } from "../motion/SmallFigure";
 import { spreadsAbove } from "./edits";
@@ -59,7 +60,7 @@ export function Clips({ facts, rateHz, shown, onShow }: ClipsProps) {
               {one.to_others !== null && far !== null && <Spreads cost={one.to_others} far={far} />}
             </span>
             <span className="muted">
-              to the template {one.to_template === null ? "too short" : one.to_template.toFixed(3)}; {((one.stop - one.start) / rateHz).toFixed(2)} s
+              to the template {one.to_template === null ? "too short" : one.to_template.toFixed(3)}; {shownSeconds(one.stop - one.start, rateHz)} s
             </span>
             {one.far && <b className="templates-remark">far from the rest</b>}
             {one.mirrored && <span className="muted">in the mirror</span>}

@@ -9,6 +9,7 @@ import { Link } from "wouter";
 
 import { get, postLines } from "../api/client";
 import type { Step } from "../api/lines";
+import { shownSeconds } from "../api/seconds";
 import type { StoreFacts } from "../api/types";
 import { takeAddress, useParameter } from "../app/address";
 import { Fault } from "../app/Fault";
@@ -184,7 +185,7 @@ function PosePanel({ store, facts, clip, place }: PosePanelProps) {
         />
       )}
       <Text size="sm" role="status">
-        column {column + 1} of {facts.columns}, {(column / store.rate_hz).toFixed(2)} s
+        column {column + 1} of {facts.columns}, {shownSeconds(column, store.rate_hz)} s
       </Text>
       {feature === undefined || share === undefined ? (
         <Text size="sm" className="muted">
