@@ -19,7 +19,7 @@ from kinedex.catalog.queries.query_files import read_queries
 from kinedex.console.terminal import make_console
 from kinedex.ops.distances.dtw import distance_curves
 from kinedex.ops.templates.templates import quantise
-from kinedex.pipelines.ranking.store_ranking import DELTA, rank_store
+from kinedex.pipelines.ranking.store_ranking import DELTA, RankingQuestion, rank_store
 from kinedex.pipelines.search.bit_slices import stored_words
 from kinedex.pipelines.search.query_proposal import propose_query
 from kinedex.pipelines.search.search import search_store
@@ -37,6 +37,9 @@ PLAIN_TAKES = sized(20, 4)
 """The curves of so many takes are timed for the comparison, and counted for all frames."""
 
 
+ASKED = RankingQuestion(top=TOP, mirror=True, workers=THREADS)
+
+
 def figures(_: Store | None = None) -> list[Figure]:
     """Time searches by example and by keyframes over 100 hours."""
     store = hundred_hours()
@@ -50,7 +53,7 @@ def _examples(store: Store, hours: float) -> list[Figure]:
     found = []
     for length in LENGTHS:
         example = template_from_clip(store, take, 300, 300 + length)
-        took = seconds(lambda one=example: rank_store(store, [one], top=TOP, mirror=True, workers=THREADS), RUNS)  # type: ignore[misc]
+        took = seconds(lambda one=example: rank_store(store, [one], ASKED), RUNS)  # type: ignore[misc]
         title = f"{TOP} best of {hours:.0f} h by an example of {length / store.rate_hz:g} s, both sides"
         found.append(Figure(title, hours, "hours", took, f"asked for: {EXAMPLE_SECONDS:g} s", EXAMPLE_SECONDS))
         template = quantise(example.template, DELTA)

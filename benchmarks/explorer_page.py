@@ -56,7 +56,7 @@ from kinedex.catalog.queries.query_writer import write_queries
 from kinedex.console.terminal import make_console
 from kinedex.explorer.application import BUILT
 from kinedex.pipelines.engine.runner import run_pipeline
-from kinedex.pipelines.ranking.store_ranking import rank_store
+from kinedex.pipelines.ranking.store_ranking import RankingQuestion, rank_store
 from kinedex.pipelines.templates.stored_templates import template_from_clip
 from kinedex.storage.store.store import Store, open_store
 
@@ -253,7 +253,7 @@ def _examples(page: Page, server: Explorer, store: Store) -> Iterator[Figure]:
             path = f"/ask?take={take}&from=300&to={300 + length}"
             trips.append(asked(page, "/api/ask/examples", partial(go, page, path)))
     example = template_from_clip(store, takes[1], 300, 300 + EXAMPLE_FRAMES[1])
-    by_python = seconds(lambda: rank_store(store, [example], top=60, mirror=True, workers=2), 3)
+    by_python = seconds(lambda: rank_store(store, [example], RankingQuestion(top=60, mirror=True, workers=2)), 3)
     own = trips[1 + len(EXAMPLE_FRAMES)].parsed
     hours = sum(store.take_frames.values()) / store.rate_hz / 3600
     yield _limit(f"hits by example over {hours:.0f} h, request to answer: median of {len(trips)}",

@@ -5,22 +5,28 @@ which is sent as JSON, or a response of its own. If the page closes the connecti
 function that only reads is cancelled (`ops.withdrawal`).
 
     routes = [get("/api/store", describe), post("/api/takes", find_takes, TakesQuestion)]
+
+Answer slow requests by lines of JSON: the progress, then the answer; stop the work if the client disconnects.
+
+Whoever asks with `Accept: application/x-ndjson` gets {done, total} whenever it has changed (both 0 until the work is
+known), and at last {answer} or {error, status}; everybody else gets the answer alone.
 """
 
 from __future__ import annotations
 
 import asyncio
-from collections.abc import Callable, Mapping
+import json
+from collections.abc import AsyncIterator, Callable, Mapping
 from threading import Event
 from typing import Any, TypeVar
 
 from anyio import to_thread
 from pydantic import BaseModel, ConfigDict
 from starlette.requests import Request
-from starlette.responses import Response
+from starlette.responses import Response, StreamingResponse
 from starlette.routing import Route
 
-from kinedex.explorer.answers import Json, NotFoundError
+from kinedex.explorer.answers import Json, NotFoundError, fault_answer
 from kinedex.explorer.archive import Archive, ReadOnlyError
 from kinedex.ops.withdrawal import withdrawn_when
 
@@ -33,7 +39,7 @@ class Question(BaseModel):
 
 Asked = TypeVar("Asked", bound=Question)
 
-Result = Mapping[str, Any] | Response
+Result = Mapping[str, Any] | Response | bytes
 
 
 def get(path: str, function: Callable[[Archive, Request], Result]) -> Route:
@@ -105,6 +111,8 @@ async def _watch(request: Request, gone: Event) -> None:
 
 
 def _response(result: Result) -> Response:
+    if isinstance(result, bytes):
+        return Response(result, media_type="application/octet-stream")
     return result if isinstance(result, Response) else Json(result)
 
 
@@ -121,3 +129,88 @@ def take_of(archive: Archive, request: Request) -> tuple[Any, int]:
     if take not in store.take_frames:
         raise NotFoundError(f"no take has the id {take}; it may have been removed from the store")
     return store, take
+
+
+def get_of_take(path: str, function: Callable[[Any, int], Result]) -> Route:
+    """Return the route of a GET address below that of a take, for a function of the open store and the take's id."""
+    return get(f"/api/takes/{{take:int}}{path}", lambda archive, request: function(*take_of(archive, request)))
+
+
+LINES = "application/x-ndjson"
+
+LOOK_SECONDS = 0.1
+
+
+class Progress:
+    """The number of steps of some work, done and in all; one thread counts them while another one reads the numbers."""
+
+    def __init__(self) -> None:
+        self.step = (0, 0)
+
+    def start(self, total: int) -> None:
+        """Set the number of steps of the work."""
+        self.step = (0, total)
+
+    def advance(self) -> None:
+        """Count a step."""
+        self.step = (self.step[0] + 1, self.step[1])
+
+
+Asked = TypeVar("Asked", bound=Question)
+
+Function = Callable[[Archive, Asked, Request, Progress], Mapping[str, Any]]
+
+
+def post_with_progress(path: str, function: Function[Asked], asked: type[Asked]) -> Route:
+    """Return the route of a question with a body, whose answer may take a while.
+
+    Parameters
+    ----------
+    path : str
+        Path of the address.
+    function : callable
+        Called with the archive, the body, the request and the progress, which it advances; returns the answer. It must
+        not write.
+    asked : type of Question
+        Model of the body.
+    """
+
+    def alone(archive: Archive, body: Asked, request: Request) -> Mapping[str, Any]:
+        return function(archive, body, request, Progress())
+
+    plain = post(path, alone, asked)
+
+    async def endpoint(request: Request) -> Response:
+        if LINES not in request.headers.get("accept", ""):
+            answer: Response = await plain.endpoint(request)
+            return answer
+        body = asked.model_validate_json(await request.body())
+        return StreamingResponse(_lines(request, function, body), media_type=LINES)
+
+    return Route(path, endpoint, methods=["POST"])
+
+
+async def fault_line(request: Request, fault: Exception) -> bytes:
+    """Return the line {error, status} for an error that was raised after the status of the response was sent."""
+    answer = await fault_answer(request, fault)
+    error = json.loads(bytes(answer.body) or b'{"error": {"type": "WithdrawnError", "message": ""}}')
+    return json.dumps({**error, "status": answer.status_code}).encode() + b"\n"
+
+
+async def _lines(request: Request, function: Function[Asked], body: Asked) -> AsyncIterator[bytes]:
+    progress, gone = Progress(), Event()
+    with withdrawn_when(gone.is_set):
+        work = asyncio.create_task(to_thread.run_sync(function, request.app.state.archive, body, request, progress))
+    seen = None
+    try:
+        while not work.done():
+            if progress.step != seen:
+                seen = progress.step
+                yield json.dumps({"done": seen[0], "total": seen[1]}).encode() + b"\n"
+            await asyncio.wait({work}, timeout=LOOK_SECONDS)
+        try:
+            yield bytes(Json({"answer": work.result()}).body) + b"\n"
+        except Exception as fault:  # the status of the response is sent already
+            yield await fault_line(request, fault)
+    finally:
+        gone.set()

@@ -5,11 +5,11 @@ from __future__ import annotations
 import json
 import logging
 from dataclasses import asdict
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from pydantic import ValidationError
 from starlette.exceptions import HTTPException
-from starlette.requests import ClientDisconnect
+from starlette.requests import ClientDisconnect, Request
 from starlette.responses import Response
 
 from kinedex.explorer.archive import ReadOnlyError
@@ -18,9 +18,6 @@ from kinedex.ops.withdrawal import WithdrawnError
 from kinedex.storage.disk import WriteError
 from kinedex.storage.formats.json_text import json_value
 from kinedex.storage.interruption import TimeLimitError
-
-if TYPE_CHECKING:
-    from starlette.requests import Request
 
 _LOG = logging.getLogger("kinedex.explorer")
 

@@ -9,25 +9,21 @@ from collections.abc import Sequence
 from importlib import import_module
 from pathlib import Path
 from threading import Lock, Thread
-from typing import TYPE_CHECKING
 
 from anyio import to_thread
 from pydantic import ValidationError
 from starlette.applications import Starlette
 from starlette.exceptions import HTTPException
+from starlette.requests import Request
 from starlette.responses import FileResponse, HTMLResponse, Response
 from starlette.routing import BaseRoute, Match, Route, Router
+from starlette.types import ASGIApp, Receive, Scope, Send
 
 from kinedex.explorer.access import Access, Rules, TooLongError, too_long
 from kinedex.explorer.answers import fault_answer
+from kinedex.explorer.archive import Archive
 from kinedex.explorer.preparation import prepare
 from kinedex.ops.errors import KinedexError, Remedy
-
-if TYPE_CHECKING:
-    from starlette.requests import Request
-    from starlette.types import ASGIApp, Receive, Scope, Send
-
-    from kinedex.explorer.archive import Archive
 
 BUILT = Path(__file__).parent / "built"
 """The folder of the built page (`make page`)."""
@@ -45,7 +41,6 @@ SUBJECTS = (
     "label_files",
     "labels",
     "lanes",
-    "learned_queries",
     "learning",
     "maps",
     "motion",
@@ -56,11 +51,10 @@ SUBJECTS = (
     "takes",
     "template_edits",
     "templates",
-    "totals",
 )
 """The modules whose `routes` the application has."""
 
-FIRST = frozenset({"events", "quality", "store", "takes", "totals"})
+FIRST = frozenset({"events", "quality", "store", "takes"})
 """The modules that the first page needs. The others are imported after it is shown: some import numba or polars."""
 
 

@@ -11,18 +11,21 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property, partial
 
+import numpy as np
+import numpy.typing as npt
 from pydantic import ValidationError
 
 from kinedex.catalog.classes import Classes
 from kinedex.catalog.queries.keyframe_query import KeyframeQuery
-from kinedex.explorer.remembered_matches import MatchMemory, RememberingThesisMethod
-from kinedex.explorer.template_use import TemplateUse
-from kinedex.ops.annotation.segments import Segment
+from kinedex.explorer.templates import TemplateUse
+from kinedex.ops.annotation.segments import TOLERANCE, Matches, Segment
+from kinedex.ops.cache import Cache
 from kinedex.ops.errors import KinedexError
+from kinedex.ops.templates.templates import QuantisedTemplate
 from kinedex.ops.words import U64, TakeWords
 from kinedex.pipelines.annotation.annotators import Annotator
 from kinedex.pipelines.annotation.batches import annotate_words, split_takes
-from kinedex.pipelines.annotation.methods import ThesisMethod
+from kinedex.pipelines.annotation.methods import ClassTemplates, ThesisMethod
 from kinedex.pipelines.annotation.preparation import (
     Preparation,
     Single,
@@ -32,18 +35,103 @@ from kinedex.pipelines.annotation.preparation import (
     template_words,
 )
 from kinedex.pipelines.annotation.threshold_calibration import Calibration
-from kinedex.pipelines.engine.executors import cores
-from kinedex.pipelines.ranking.batch_threads import in_threads
+from kinedex.pipelines.engine.executors import cores, in_threads
 from kinedex.pipelines.search.bit_slices import stored_words
 from kinedex.pipelines.templates.examples import Rejected, rejected_examples
 from kinedex.pipelines.templates.learning import SubclassTemplate, TrainingClips
 from kinedex.pipelines.templates.training import TemplateParameters, training_material
 from kinedex.storage.store.store import Store
 
-Step = Callable[[], None]
+F64 = npt.NDArray[np.float64]
+I64 = npt.NDArray[np.int64]
+I32 = npt.NDArray[np.int32]
 
-MATCHES = MatchMemory()
+Found = tuple[I64, I64, F64]
+"""Starts, ends and costs, as in `Matches`."""
+
+Key = tuple[object, ...]
+
+MOST_BYTES = 200_000_000
+"""Maximum number of bytes of cached matches, of which the least recently used are dropped; 28 templates in 100 h take
+110 MB.
+"""
+
+
+@dataclass(frozen=True)
+class Held:
+    """The matches of a template below a threshold; they contain the matches below every lower threshold."""
+
+    tau: float
+    starts: I32
+    ends: I32
+    costs: F64
+
+    @property
+    def nbytes(self) -> int:
+        """The size in bytes."""
+        return self.starts.nbytes + self.ends.nbytes + self.costs.nbytes
+
+    def below(self, tau: float) -> Found:
+        """Return the matches below a threshold that is not above that of these."""
+        starts, ends, costs = self.starts, self.ends, self.costs
+        if tau < self.tau:
+            chosen = costs < tau - TOLERANCE
+            starts, ends, costs = starts[chosen], ends[chosen], costs[chosen]
+        return starts.astype(np.int64), ends.astype(np.int64), costs
+
+
+MATCHES: Cache[Key, Held] = Cache(MOST_BYTES, lambda held: held.nbytes)
 """The matches of the templates that are being edited, and of those that compete with them."""
+
+
+@dataclass(frozen=True)
+class RememberingThesisMethod(ThesisMethod):
+    """Label frames as `ThesisMethod` does, with matches that are cached from one annotation to the next.
+
+    Attributes
+    ----------
+    scope : tuple
+        The store and its version, which are part of the cache's keys, because take ids are unique within these only.
+    """
+
+    scope: tuple[object, ...] = ()
+
+    @classmethod
+    def prepare(cls, templates: ClassTemplates, clips: Callable[[], Sequence[U64]]) -> RememberingThesisMethod:
+        """Return the method for some templates, with the cache of the server."""
+        return cls(templates.quantised, templates.class_index, templates.thresholds)
+
+    def matches(self, words: TakeWords, ranges: Sequence[I64]) -> Matches:
+        """Return the minima of the distance curve of each template in whole takes; see `ThesisMethod.matches`."""
+        taus = self.thresholds[self.class_index]
+        takes = words.take_ids.tobytes()
+        keys = [(*self.scope, takes, *content_of(one)) for one in self.templates]
+        found = {
+            place: held.below(tau)
+            for place, (key, tau) in enumerate(zip(keys, taus.tolist(), strict=True))
+            if (held := MATCHES.get(key)) is not None and held.tau >= tau
+        }
+        missing = [place for place in range(len(keys)) if place not in found]
+        if missing:
+            some = ThesisMethod(
+                tuple(self.templates[place] for place in missing), np.arange(len(missing)), taus[missing]
+            )
+            parts = some.matches(words, [ranges[place] for place in missing]).parts()
+            for place, own in zip(missing, parts, strict=True):
+                found[place] = own
+                starts, ends, costs = own
+                held = Held(float(taus[place]), starts.astype(np.int32), ends.astype(np.int32), costs)
+                MATCHES.put(keys[place], held)
+        return Matches.of([found[place] for place in range(len(keys))])
+
+
+def content_of(template: QuantisedTemplate) -> tuple[bytes, bytes, bytes]:
+    """Return what the matches of a template in whole takes depend on, besides threshold and words, for cache keys."""
+    weights = b"" if template.feature_weights is None else template.feature_weights.tobytes()
+    return template.mask.tobytes(), template.value.tobytes(), weights
+
+
+Step = Callable[[], None]
 
 
 @dataclass(frozen=True)
@@ -161,7 +249,7 @@ def class_segments(
     method = annotator.method
     if type(method) is ThesisMethod and not any(annotator.queries):
         scope = (str(store.path), store.manifest.version)
-        kept = RememberingThesisMethod(method.templates, method.class_index, method.thresholds, MATCHES, scope)
+        kept = RememberingThesisMethod(method.templates, method.class_index, method.thresholds, scope)
         annotator = replace(annotator, method=kept)
     place = annotator.classes.index(label)
     found: list[tuple[Segment, ...]] = []

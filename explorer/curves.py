@@ -10,20 +10,22 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
-from starlette.responses import Response
+from starlette.requests import Request
 
-from kinedex.explorer.addresses import get, take_of
+from kinedex.explorer.addresses import get, get_of_take, take_of
+from kinedex.explorer.archive import Archive
 from kinedex.explorer.lanes import words_of_take
-from kinedex.explorer.motion import ShownFrames, frames_of, whole_number
+from kinedex.explorer.motion import check_frame, check_interval, frames_of, name_of, whole_number
 from kinedex.explorer.same import command_line, python_lines
 from kinedex.ops.annotation.segments import local_minima
 from kinedex.ops.distances.curve_path import curve_paths
 from kinedex.ops.distances.dtw import distance_curves
 from kinedex.ops.errors import KinedexError, ParameterError
+from kinedex.ops.intervals import Interval
 from kinedex.ops.templates.derived_templates import restricted_template
 from kinedex.ops.templates.nearest_clip import nearest_clips, word_differences
 from kinedex.ops.templates.templates import Kind, QuantisedTemplate, quantise
@@ -34,11 +36,6 @@ from kinedex.pipelines.templates.learning import SubclassTemplate
 from kinedex.pipelines.templates.nearest_examples import clips_of
 from kinedex.pipelines.templates.stored_templates import choose_template, stored_templates
 from kinedex.storage.store.store import Store
-
-if TYPE_CHECKING:
-    from starlette.requests import Request
-
-    from kinedex.explorer.archive import Archive
 
 Row = dict[str, Any]
 
@@ -85,7 +82,9 @@ def templates_of_take(store: Store, take_id: int) -> Row:
         No take has this id.
     """
     frames_of(store, take_id)
-    params = _annotation_parameters(store)
+    parts = store.manifest.results.get("annotated_takes") or ()
+    record = store.manifest.stages.get(parts[-1].stage) if parts else None
+    params = dict(record.summary) if record else {}
     delta = float(params.get("delta", DELTA))
     known = store.known.get(take_id, int(ALL_KNOWN))
     rows = []
@@ -115,14 +114,9 @@ def templates_of_take(store: Store, take_id: int) -> Row:
         "tau_by_class": params.get("tau_by_class") or {},
         "delta": delta,
         "found": found,
+        "command": command_line("kinedex", "template", "list", store.path),
+        "python": python_lines(store.path, "store.templates()"),
     }
-
-
-def _annotation_parameters(store: Store) -> Row:
-    """Return the parameters of the stage whose annotations are shown; empty without one."""
-    parts = store.manifest.results.get("annotated_takes") or ()
-    record = store.manifest.stages.get(parts[-1].stage) if parts else None
-    return dict(record.summary) if record else {}
 
 
 def template_image(store: Store, choice: TemplateChoice) -> Row:
@@ -156,6 +150,8 @@ def template_image(store: Store, choice: TemplateChoice) -> Row:
         "values": np.round(template.values.T, 2).tolist(),
         "weights": None if weights is None else weights.tolist(),
         "clips": list(learned.clips),
+        "command": command_line("kinedex", "template", "show", store.path, choice.name),
+        "python": python_lines(store.path, f"store.template({choice.name!r}, {choice.kind!r}).plot()"),
     }
 
 
@@ -234,9 +230,7 @@ def nearest_hit(store: Store, take_id: int, choice: TemplateChoice, frame: int, 
     ParameterError
         The take has no such frame.
     """
-    frames = frames_of(store, take_id)
-    if not 0 <= frame < frames:
-        raise ParameterError("frame", f"from 0 to {frames - 1}, the frames of the take", frame)
+    check_frame(store, take_id, frame)
     words = words_of_take(store, take_id)
     template, learned = _quantised(store, take_id, choice)
     curve = distance_curves([template], words)[0]
@@ -281,14 +275,14 @@ def _example(store: Store, learned: SubclassTemplate, hit: U64) -> Row | None:
     }
 
 
-def aligned_intervals(store: Store, one: ShownFrames, other: ShownFrames) -> Row:
+def aligned_intervals(store: Store, one: Interval, other: Interval) -> Row:
     """Align two intervals by DTW of their words: return for each frame of the first the frame of the second.
 
     Parameters
     ----------
     store : Store
         The store of the takes.
-    one, other : ShownFrames
+    one, other : Interval
         The intervals, each of at most `MOST_ALIGNED` frames.
 
     Returns
@@ -306,13 +300,10 @@ def aligned_intervals(store: Store, one: ShownFrames, other: ShownFrames) -> Row
     """
     parts = []
     for name, each in (("the first interval", one), ("the second interval", other)):
-        total = frames_of(store, each.take_id)
-        if not 0 <= each.start < each.stop <= total:
-            expected = f"0 <= start < stop <= {total}, the frames of the take"
-            raise ParameterError(name, expected, (each.start, each.stop))
-        if each.stop - each.start > MOST_ALIGNED:
-            raise ParameterError(name, f"of at most {MOST_ALIGNED} frames", each.stop - each.start)
-        parts.append(words_of_take(store, each.take_id)[each.start : each.stop])
+        check_interval(store, each, name)
+        if each.frames > MOST_ALIGNED:
+            raise ParameterError(name, f"of at most {MOST_ALIGNED} frames", each.frames)
+        parts.append(words_of_take(store, store.take_ids[each.take])[each.start : each.stop])
     differing = word_differences(parts[0], parts[1], len(store.feature_set.features))
     path = align(differing, np.ones(len(parts[0])), np.ones(len(parts[1]))).path
     frames = np.zeros(len(parts[0]), np.int64)
@@ -354,22 +345,12 @@ def _number(request: Request, name: str, absent: float) -> float:
     return value
 
 
-def _templates(archive: Archive, request: Request) -> Row:
-    store, take = take_of(archive, request)
-    same = {"command": command_line("kinedex", "template", "list", store.path)}
-    return {**templates_of_take(store, take), **same, "python": python_lines(store.path, "store.templates()")}
-
-
 def _image(archive: Archive, request: Request) -> Row:
-    store, choice = archive.store(), template_choice(request)
-    show = command_line("kinedex", "template", "show", store.path, choice.name)
-    python = python_lines(store.path, f"store.template({choice.name!r}, {choice.kind!r}).plot()")
-    return {**template_image(store, choice), "command": show, "python": python}
+    return template_image(archive.store(), template_choice(request))
 
 
-def _curve(archive: Archive, request: Request) -> Response:
-    curve = curve_of_template(*take_of(archive, request), template_choice(request))
-    return Response(curve.tobytes(), media_type="application/octet-stream")
+def _curve(archive: Archive, request: Request) -> bytes:
+    return curve_of_template(*take_of(archive, request), template_choice(request)).tobytes()
 
 
 def _hit(archive: Archive, request: Request) -> Row:
@@ -383,11 +364,9 @@ def _hit(archive: Archive, request: Request) -> Row:
 
 def _align(archive: Archive, request: Request) -> Row:
     store = archive.store()
-    one, other = (
-        ShownFrames(*(whole_number(request, f"{side}{name}") for name in ("take", "start", "stop")))
-        for side in ("", "other_")
-    )
-    parts = ", ".join(f"store[{each.take_id}][{each.start}:{each.stop}].words()" for each in (one, other))
+    asked = [[whole_number(request, f"{side}{name}") for name in ("take", "start", "stop")] for side in ("", "other_")]
+    one, other = (Interval(name_of(store, take), start, stop) for take, start, stop in asked)
+    parts = ", ".join(f"store[{take}][{start}:{stop}].words()" for take, start, stop in asked)
     features = len(store.feature_set.features)
     lines = (
         "from kinedex.ops.templates.nearest_clip import word_differences",
@@ -399,7 +378,7 @@ def _align(archive: Archive, request: Request) -> Row:
 
 
 routes = [
-    get("/api/takes/{take:int}/templates", _templates),
+    get_of_take("/templates", templates_of_take),
     get("/api/takes/{take:int}/curve", _curve),
     get("/api/takes/{take:int}/hit", _hit),
     get("/api/template", _image),

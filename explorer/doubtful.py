@@ -16,7 +16,6 @@ from kinedex.explorer.addresses import Question, post
 from kinedex.explorer.labels import stage_of
 from kinedex.explorer.same import command_line, python_lines
 from kinedex.ops.errors import KinedexError
-from kinedex.ops.intervals import TakeSegment
 from kinedex.pipelines.labels.selection import Selection, least_confident_first, selected
 from kinedex.pipelines.templates.learning import read_templates
 from kinedex.pipelines.templates.nearest_examples import nearest_examples
@@ -127,11 +126,7 @@ def _nearest(store: Store, stage: str, rows: list[Row]) -> dict[tuple[str, str, 
         templates = read_templates(store, f"{stage.partition('/')[0]}/{name}", kind)
     except KinedexError:
         return {}
-    hits = [
-        TakeSegment(row["take"], row["class"], row["start"], row["stop"], subclass=row["subclass"])
-        for row in rows
-        if row["take"] in store.take_ids
-    ]
+    hits = {_key(row): row["subclass"] for row in rows if row["take"] in store.take_ids}
     found = nearest_examples(store, hits, templates)
     return {
         key: {"take_id": store.take_ids[one.take], "take": one.take, "start": one.start, "stop": one.stop}

@@ -15,16 +15,13 @@ import threading
 import time
 from collections.abc import AsyncIterator, Callable, Mapping
 from contextlib import suppress
-from typing import TYPE_CHECKING
 
 from anyio import to_thread
+from starlette.requests import Request
 from starlette.responses import Response, StreamingResponse
 from starlette.routing import Route
 
 from kinedex.ops.errors import KinedexError
-
-if TYPE_CHECKING:
-    from starlette.requests import Request
 
 WAIT_SECONDS = 1.0
 """Seconds from one check of the store for changes to the next, while a page listens."""

@@ -18,36 +18,35 @@ from __future__ import annotations
 
 import time
 from dataclasses import replace
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import Annotated, Any
 
 import numpy as np
 from pydantic import Field
+from starlette.requests import Request
 
 from kinedex.catalog.template_files import write_yaml
 from kinedex.explorer.addresses import post
-from kinedex.explorer.hits import ChosenHit, Limit, ranked_hits, take_condition
+from kinedex.explorer.archive import Archive
+from kinedex.explorer.hits import ChosenHit, Limit, shown_hits, take_condition
 from kinedex.explorer.labels import same_decisions
 from kinedex.explorer.same import command_line, python_lines
 from kinedex.explorer.selections import Selection
 from kinedex.ops.distances.curve_path import curve_paths
 from kinedex.ops.distances.dtw import distance_curves
 from kinedex.ops.errors import KinedexError
+from kinedex.ops.intervals import Hit, in_seconds
 from kinedex.ops.ranking.ranking import rank_together
 from kinedex.ops.templates.derived_templates import WILDCARD, restricted_template
 from kinedex.ops.templates.templates import QuantisedTemplate, quantise
 from kinedex.ops.words import ALL_KNOWN, TakeWords, bits
 from kinedex.pipelines.labels.decisions import record
-from kinedex.pipelines.ranking.both_sides import mirrored_template
-from kinedex.pipelines.ranking.examples import ChosenInterval, ChosenTemplate, template_of_chosen
+from kinedex.pipelines.ranking.examples import ChosenTemplate, template_of_chosen
 from kinedex.pipelines.ranking.ranked_hits import RankedTemplate
-from kinedex.pipelines.ranking.store_ranking import DELTA, TAU, TOP, rank_store
+from kinedex.pipelines.ranking.ranking import mirrored_template
+from kinedex.pipelines.ranking.store_ranking import DELTA, TAU, TOP, RankingQuestion, rank_store
 from kinedex.pipelines.search.bit_slices import stored_words
-
-if TYPE_CHECKING:
-    from starlette.requests import Request
-
-    from kinedex.explorer.archive import Archive
-    from kinedex.storage.store.store import Store
+from kinedex.storage.snapshot.schemas import hits_of
+from kinedex.storage.store.store import Store
 
 NAME = "example"
 
@@ -96,18 +95,21 @@ def find_similar(archive: Archive, asked: ExamplesQuestion, _request: Request) -
     made = _template(store, asked)
     mirror = asked.mirror and bool(store.feature_set.mirror)
     condition = take_condition(store, asked)
-    found = rank_store(
-        store, [made.named], delta=asked.delta, tau=asked.tau, top=asked.top, where=condition, mirror=mirror, nearest=1
-    )
+    found = rank_store(store, [made.named], RankingQuestion(asked.delta, asked.tau, asked.top, condition, mirror, 1))
     (ranking,) = found.rankings
+    weights = () if made.weights is None else zip(_features(store), made.weights.tolist(), strict=True)
     return {
-        "hits": ranked_hits(ranking),
-        "total": len(ranking.hits),
-        "more": len(ranking.hits) == asked.top,
-        "hours": ranking.frames / store.rate_hz / 3600,
+        "hits": shown_hits(store, hits_of(ranking.hits)),
+        "total": len(ranking),
+        "more": len(ranking) == asked.top,
+        "hours": in_seconds(ranking.frames, store.rate_hz) / 3600,
         "seconds": time.perf_counter() - begin,
         "tau": asked.tau,
-        "template": _described(store, made),
+        "template": {
+            "columns": len(made.named.template),
+            "clips": list(made.clips),
+            "weights": {name: round(weight, 3) for name, weight in weights if weight != 1},
+        },
         "remarks": [*made.remarks, *found.remarks, *found.misses(asked.tau, "a τ of ")],
         "version": store.manifest.version,
         **_same(archive, store, asked, made, condition),
@@ -116,23 +118,13 @@ def find_similar(archive: Archive, asked: ExamplesQuestion, _request: Request) -
 
 def _template(store: Store, asked: ExamplesQuestion) -> ChosenTemplate:
     """Return the template that is learned from the examples of a request."""
-    accepted, rejected = ([one.interval(store) for one in side] for side in (asked.positives, asked.negatives))
-    longest = max(one.stop - one.start for one in accepted) / store.rate_hz
+    accepted, rejected = ([one.hit(store) for one in side] for side in (asked.positives, asked.negatives))
+    longest = in_seconds(max(one.interval.frames for one in accepted), store.rate_hz)
     if longest > MOST_SECONDS:
         raise KinedexError(
             f"an example of {longest:.0f} s: at most {MOST_SECONDS:g} s; choose the interval that shows the motion once"
         )
     return template_of_chosen(store, asked.name, accepted, rejected, asked.delta)
-
-
-def _described(store: Store, made: ChosenTemplate) -> dict[str, Any]:
-    weights = made.weights
-    named = {} if weights is None else dict(zip(_features(store), weights.tolist(), strict=True))
-    return {
-        "columns": len(made.named.template),
-        "clips": list(made.clips),
-        "weights": {name: round(weight, 3) for name, weight in named.items() if weight != 1},
-    }
 
 
 def _features(store: Store) -> list[str]:
@@ -147,13 +139,11 @@ def _same(
     options += ["--where", condition] if condition is not None else []
     more = f"tau={asked.tau:g}, top={asked.top}" + (f", where={condition!r}" if condition is not None else "")
     more += ", mirror=True" if asked.mirror else ""
-    names = {take_id: name for name, take_id in store.take_ids.items()}
-    positives = [one.interval(store) for one in asked.positives]
+    positives = [one.hit(store) for one in asked.positives]
     if made.weights is None and len(positives) == 1 and not positives[0].mirrored:
-        (one,) = positives
-        take = names[one.take_id]
-        interval = ["--take", take, "--start", str(one.start), "--stop", str(one.stop)]
-        line = f"example = kinedex.Template.from_clip(store[{take!r}], {one.start}, {one.stop})"
+        take, start, stop = positives[0].interval
+        interval = ["--take", take, "--start", str(start), "--stop", str(stop)]
+        line = f"example = kinedex.Template.from_clip(store[{take!r}], {start}, {stop})"
         return {
             "command": command_line("kinedex", "rank", archive.path, *interval, *options),
             "python": python_lines(archive.path, line, f"store.rank(example, {more})"),
@@ -161,7 +151,7 @@ def _same(
     file = f"{asked.name}.yaml"  # which `POST /api/ask/template` answers with
     lines = [f"store.rank(kinedex.Template.load({file!r}), {more})"]
     if made.weights is None and not any(one.mirrored for one in positives):
-        clips = ", ".join(f"store[{names[one.take_id]!r}][{one.start}:{one.stop}]" for one in positives)
+        clips = ", ".join(f"store[{take!r}][{start}:{stop}]" for (take, start, stop), *_ in positives)
         lines = [f"example = kinedex.Template.learn([{clips}], name={asked.name!r})", f"store.rank(example, {more})"]
     return {
         "command": command_line("kinedex", "rank", archive.path, file, *options),
@@ -172,22 +162,23 @@ def _same(
 def describe_hit(archive: Archive, asked: HitQuestion, _request: Request) -> dict[str, Any]:
     """Return the distance curve around a hit, its warping path, and the features that it contradicts."""
     store = archive.store()
-    hit = asked.hit.interval(store)
+    hit = asked.hit.hit(store)
     template = _fitted(store, asked, hit)
-    words = stored_words(store, [hit.take_id]).take(0)
+    take, start, stop = hit.interval
+    words = stored_words(store, [store.take_ids[take]]).take(0)
     around = round(SHOWN_SECONDS * store.rate_hz)
-    first, last = max(0, hit.start - around), min(len(words), hit.stop + around)
+    first, last = max(0, start - around), min(len(words), stop + around)
     # a path may begin so far before the first frame that is shown
     begin = max(0, first - 2 * len(template))
     curve = distance_curves([template], words[begin:last])[0][first - begin :]
-    end = hit.stop - 1
+    end = stop - 1
     path = curve_paths(template, words, np.array([end], np.int64))[0] if np.isfinite(curve[end - first]) else None
     features = _features(store)
     contradicted: list[dict[str, Any]] = []
     if path is not None:
         visited = path.columns == np.rint(path.columns)  # fractional columns belong to frames that a (1,2) step skips
         asked_values = template.values(len(features))[path.columns[visited].astype(np.int64)]
-        seen = bits(words[path.start : hit.stop][visited], len(features))
+        seen = bits(words[path.start : stop][visited], len(features))
         wrong = ((asked_values != WILDCARD) & (asked_values != seen)).mean(axis=0)
         order = np.argsort(-wrong, kind="stable")
         contradicted = [{"feature": features[i], "share": float(wrong[i])} for i in order.tolist() if wrong[i] > 0]
@@ -196,20 +187,20 @@ def describe_hit(archive: Archive, asked: HitQuestion, _request: Request) -> dic
         "curve": [None if not np.isfinite(cost) else round(float(cost), 5) for cost in curve],
         "tau": asked.tau,
         "cost": None if path is None else float(curve[end - first]),
-        "start": hit.start if path is None else path.start,
+        "start": start if path is None else path.start,
         "columns": [] if path is None else np.round(path.columns, 2).tolist(),
         "template_columns": len(template),
         "contradicted": contradicted,
     }
 
 
-def _fitted(store: Store, asked: HitQuestion, hit: ChosenInterval) -> QuantisedTemplate:
+def _fitted(store: Store, asked: HitQuestion, hit: Hit) -> QuantisedTemplate:
     """Return the template in the form that matched a hit: mirrored or not, with the features known in its take."""
     made = _template(store, asked)
     whole = RankedTemplate(asked.name, quantise(made.named.template, asked.delta))
     if hit.mirrored:
         whole = mirrored_template(whole, store.feature_set)
-    found = restricted_template(whole.template, store.known.get(hit.take_id, int(ALL_KNOWN)))
+    found = restricted_template(whole.template, store.known.get(store.take_ids[hit.interval.take], int(ALL_KNOWN)))
     if found is None:
         raise KinedexError("the template is not applied to this take: its body lacks joints of most of the entries")
     return found
@@ -226,20 +217,17 @@ def write_template(archive: Archive, asked: ExamplesQuestion, _request: Request)
 def save_labels(archive: Archive, asked: LabelsQuestion, _request: Request) -> dict[str, Any]:
     """Record accepted hits as positive labels of a class and rejected ones as negative, on disk before it returns."""
     store = archive.store()
-    names = {take_id: name for name, take_id in store.take_ids.items()}
     rows = [
         {
-            "take": names[one.take_id],
+            **chosen.hit(store).interval._asdict(),
             "class": asked.label,
-            "start": one.start,
-            "stop": one.stop,
             "verdict": verdict,
             "origin": "drawn",
             "annotator": asked.annotator,
             "note": asked.note,
         }
         for verdict, side in (("positive", asked.positives), ("negative", asked.negatives))
-        for one in (chosen.interval(store) for chosen in side)
+        for chosen in side
     ]
     standing = {row["id"]: row for row in store.labels().to_pylist()}
     done = record(store, rows)

@@ -15,13 +15,15 @@ import os
 from collections import defaultdict
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import Annotated, Any
 
 import numpy as np
 from pydantic import Field
+from starlette.requests import Request
 
 from kinedex.explorer.addresses import Question, get, post
 from kinedex.explorer.answers import NotFoundError
+from kinedex.explorer.archive import Archive
 from kinedex.explorer.hits import take_condition
 from kinedex.explorer.jobs import Job, jobs_of
 from kinedex.explorer.same import command_line, python_lines
@@ -37,11 +39,6 @@ from kinedex.pipelines.export.work import Done
 from kinedex.storage.duck import quote
 from kinedex.storage.store.store import Store
 
-if TYPE_CHECKING:
-    from starlette.requests import Request
-
-    from kinedex.explorer.archive import Archive
-
 Row = dict[str, Any]
 
 TITLE = "Export"
@@ -56,7 +53,7 @@ Name = Annotated[str, Field(min_length=1, max_length=500)]
 Frame = Annotated[int, Field(ge=0)]
 
 
-class Hit(Question):
+class ExportedHit(Question):
     """An interval that another page passes on; `mirrored` if it matches the mirror image of a template or query."""
 
     take: Name
@@ -77,7 +74,7 @@ class ExportQuestion(Question):
     what: What = What()
     how: How = How()
     filters: tuple[Filter, ...] = ()
-    hits: Annotated[tuple[Hit, ...], Field(max_length=MOST_HITS)] = ()
+    hits: Annotated[tuple[ExportedHit, ...], Field(max_length=MOST_HITS)] = ()
     folder: Annotated[str, Field(max_length=4000)] | None = None
     planned: str | None = None
 
@@ -104,7 +101,7 @@ def request_of(store: Store, asked: ExportQuestion) -> What:
     return replace(asked.what, kind=kind, name=given, where=where, pipeline=asked.what.pipeline or None)
 
 
-def _hits_query(hits: tuple[Hit, ...]) -> str:
+def _hits_query(hits: tuple[ExportedHit, ...]) -> str:
     """Return a SQL query whose rows are the hits; it has a column `mirror_image` if some hits are mirrored."""
     mirrored = any(one.mirrored for one in hits)
     rows = ", ".join(

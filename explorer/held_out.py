@@ -23,28 +23,26 @@ from __future__ import annotations
 
 import time
 from collections.abc import Sequence
-from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
+from starlette.requests import Request
 
+from kinedex.explorer.addresses import Progress, post_with_progress
+from kinedex.explorer.archive import Archive
 from kinedex.explorer.class_annotation import class_segments
-from kinedex.explorer.prepared_templates import F64, Prepared, PreparedTemplates, dividing_threshold
-from kinedex.explorer.progress import Progress, post_with_progress
+from kinedex.explorer.held_out_truth import F64, Prepared, dividing_threshold, prepared_template
+from kinedex.explorer.hits import shown_hits
 from kinedex.explorer.template_edits import Edit, EditQuestion, edited_template, is_edited, same_edit
 from kinedex.ops.annotation.calibration import threshold_scores
 from kinedex.ops.annotation.segments import Segment
-from kinedex.ops.evaluation.metrics import Counts, compare, pooled
+from kinedex.ops.evaluation.metrics import compare, pooled
+from kinedex.ops.intervals import Hit, Interval, in_seconds
 from kinedex.ops.wording import few
 from kinedex.pipelines.annotation.methods import BestMethod
 from kinedex.pipelines.annotation.parameters import CALIBRATED
 from kinedex.pipelines.evaluation.annotation_scores import scores
 from kinedex.pipelines.templates.learning import SubclassTemplate
-
-if TYPE_CHECKING:
-    from starlette.requests import Request
-
-    from kinedex.explorer.archive import Archive
 
 Row = dict[str, Any]
 
@@ -54,26 +52,16 @@ MOST_SEGMENTS = 24
 FAR_BETTER = 0.05
 """A gain in F of training clips that is worth a remark."""
 
-PREPARED = PreparedTemplates()
-
-
-@dataclass(frozen=True)
-class Wanted:
-    """A row of the table: a template at a threshold, None for a method without thresholds."""
-
-    template: str
-    threshold: str
-    tau: float | None
-
 
 def show_effect(archive: Archive, asked: EditQuestion, _request: Request, progress: Progress) -> Row:
     """Return the scores of a class in held-out takes, for the learned and for the edited template."""
     begin = time.perf_counter()
     store = archive.store()
-    prepared = PREPARED.prepared(archive, store, asked)
+    prepared = prepared_template(archive, store, asked)
     one, use, held_out = prepared.one, prepared.use, prepared.held_out
     changed = is_edited(one, asked)
-    edit = Edit(edited_template(store, one, asked) if changed else one, changed, prepared.tau, asked.tau)
+    tau = prepared.tau if asked.tau is None else asked.tau
+    edit = Edit(edited_template(store, one, asked) if changed else one, changed, tau)
     learned = prepared.training.of(one)
     costs = {"learned": learned, "edited": prepared.training.of(edit.one) if changed else learned}
     training = {name: _divided(own) for name, own in costs.items()}
@@ -87,10 +75,10 @@ def show_effect(archive: Archive, asked: EditQuestion, _request: Request, progre
             "source": held_out.source,
             "stage": use.evaluate if held_out.source == "evaluation" else None,
             "takes": len(held_out.takes),
-            "seconds": sum(store.take_frames[take] for take in held_out.takes) / store.rate_hz,
+            "seconds": in_seconds(sum(map(store.take_frames.__getitem__, held_out.takes)), store.rate_hz),
             "segments": sum(map(len, held_out.takes.values())),
             "all_takes": len(held_out.every),
-            "all_seconds": sum(store.take_frames[take] for take in held_out.every) / store.rate_hz,
+            "all_seconds": in_seconds(sum(map(store.take_frames.__getitem__, held_out.every)), store.rate_hz),
             "among_examples": held_out.among_examples,
             "sources": list(held_out.sources),
         },
@@ -152,7 +140,7 @@ def _judged(prepared: Prepared, edit: Edit, compete: bool, best: dict[str, float
     known = prepared.counts if not edit.template else {}
     counts = {"learned": prepared.counts, "edited": known}
     todo = {
-        name: {row.tau for row in wanted if row.template == name and (row.tau, compete) not in counts[name]}
+        name: {row["tau"] for row in wanted if row["template"] == name and (row["tau"], compete) not in counts[name]}
         for name in counts
     }
     todo["edited" if edit.template else "learned"].add(used)
@@ -165,31 +153,26 @@ def _judged(prepared: Prepared, edit: Edit, compete: bool, best: dict[str, float
         # matches below the highest threshold are also those below all others
         for tau in sorted(taus, key=lambda tau: -(tau or 0)):
             found = annotate_class(prepared, one, tau, compete, progress)
-            counts[name][tau, compete] = _counts(prepared, found)
+            counts[name][tau, compete] = pooled(
+                compare([(one.start, one.stop) for one in own], prepared.held_out.takes[take])
+                for take, own in zip(prepared.takes, found, strict=True)
+            )
             if tau == used and (one is edit.one):
                 current = found
-    rows = [
-        {
-            "template": row.template,
-            "threshold": row.threshold,
-            "tau": row.tau,
-            **scores(counts[row.template][row.tau, compete]),
-        }
-        for row in wanted
-    ]
+    rows = [{**row, **scores(counts[row["template"]][row["tau"], compete])} for row in wanted]
     return {"rows": rows, **_mistakes(prepared, current)}
 
 
-def _wanted(prepared: Prepared, edit: Edit, best: dict[str, float | None]) -> list[Wanted]:
-    """Return the pairs of template and threshold that are the rows of the table."""
+def _wanted(prepared: Prepared, edit: Edit, best: dict[str, float | None]) -> list[Row]:
+    """Return the rows of the table without scores: a template at a threshold, None for a method without thresholds."""
     if not prepared.use.uses_thresholds:
-        return [Wanted("learned", "pipeline", None), *([Wanted("edited", "used", None)] if edit.template else [])]
-    rows = [Wanted("learned", "pipeline", prepared.tau), Wanted("learned", "best", best["learned"])]
-    if edit.template or edit.tau != prepared.tau:
-        rows.append(Wanted("edited", "used", edit.tau))
-    if edit.template:
-        rows.append(Wanted("edited", "best", best["edited"]))
-    return [row for row in rows if row.tau is not None]
+        pairs = [("learned", "pipeline", None), *([("edited", "used", None)] if edit.template else [])]
+    else:
+        rows = [("learned", "pipeline", prepared.tau), ("learned", "best", best["learned"])]
+        rows += [("edited", "used", edit.tau)] if edit.template or edit.tau != prepared.tau else []
+        rows += [("edited", "best", best["edited"])] if edit.template else []
+        pairs = [row for row in rows if row[2] is not None]
+    return [{"template": template, "threshold": threshold, "tau": tau} for template, threshold, tau in pairs]
 
 
 def annotate_class(
@@ -218,34 +201,20 @@ def annotate_class(
     return class_segments(prepared.store, annotator, label, prepared.batches, progress.advance)
 
 
-def _counts(prepared: Prepared, found: Sequence[tuple[Segment, ...]]) -> Counts:
-    return pooled(
-        compare([(one.start, one.stop) for one in own], prepared.held_out.takes[take])
-        for take, own in zip(prepared.takes, found, strict=True)
-    )
-
-
 def _mistakes(prepared: Prepared, found: Sequence[tuple[Segment, ...]]) -> Row:
     """Return false positives by ascending cost, and false negatives: segments that overlap no true or no found one."""
-    names = {take_id: name for name, take_id in prepared.store.take_ids.items()}
+    store, label = prepared.store, prepared.label
     wrong, missed = [], []
     for take, own in zip(prepared.takes, found, strict=True):
-        true = prepared.held_out.takes[take]
-        at = {"take_id": take, "take": names[take], "mirrored": False, "name": prepared.label}
-        wrong += [
-            {**at, "start": one.start, "stop": one.stop, "cost": one.cost}
-            for one in own
-            if not any(one.start < stop and start < one.stop for start, stop in true)
-        ]
-        missed += [
-            {**at, "start": start, "stop": stop, "cost": None}
-            for start, stop in true
-            if not any(one.start < stop and start < one.stop for one in own)
-        ]
-    wrong.sort(key=lambda row: (row["cost"], row["take"], row["start"]))
+        name = store.take_names[take]
+        true = [Interval(name, start, stop) for start, stop in prepared.held_out.takes[take]]
+        judged = [Hit(Interval(name, one.start, one.stop), label, one.cost) for one in own]
+        wrong += [one for one in judged if not any(map(one.interval.overlaps, true))]
+        missed += [Hit(one, label) for one in true if not any(one.overlaps(hit.interval) for hit in judged)]
+    wrong.sort(key=lambda one: (one.cost or 0.0, one.interval))
     return {
-        name: {"total": len(rows), "segments": rows[:MOST_SEGMENTS]}
-        for name, rows in (("wrong", wrong), ("missed", missed))
+        name: {"total": len(hits), "segments": shown_hits(store, hits[:MOST_SEGMENTS])}
+        for name, hits in (("wrong", wrong), ("missed", missed))
     }
 
 

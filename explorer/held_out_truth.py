@@ -1,17 +1,29 @@
-"""Ground truth of takes that a template was not learned from: of an evaluation, or labels of people."""
+"""Takes that a template is judged by: ground truth of those that it was not learned from, words, and costs of clips."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+from threading import Lock
 from typing import Literal
 
 import numpy as np
+import numpy.typing as npt
 
-from kinedex.explorer.template_use import TemplateUse
+from kinedex.catalog.classes import Classes, MotionClass
+from kinedex.explorer.archive import Archive
+from kinedex.explorer.class_annotation import PipelineMaterial, word_batches
+from kinedex.explorer.template_edits import EditQuestion
+from kinedex.explorer.templates import TemplateUse, named, template_use
+from kinedex.ops.annotation.calibration import best_threshold
+from kinedex.ops.cache import Cache
+from kinedex.ops.evaluation.metrics import Counts
+from kinedex.ops.intervals import in_seconds
 from kinedex.ops.wording import counted, few
+from kinedex.ops.words import TakeWords
 from kinedex.pipelines.templates.examples import interval_of
 from kinedex.pipelines.templates.learning import SubclassTemplate
+from kinedex.pipelines.templates.stored_clips import StoredClip, stored_clips, template_costs
 from kinedex.storage.snapshot.labels import is_of_limbs
 from kinedex.storage.store.store import Store
 
@@ -119,7 +131,7 @@ def held_out_takes(
 def drawn_takes(store: Store, takes: Sequence[int]) -> list[int]:
     """Return takes of `MOST_SECONDS` in all, one at least, in a drawn order that is the same each time."""
     order = np.random.default_rng(0).permutation(len(takes)).tolist()
-    lengths = np.cumsum([store.take_frames[takes[place]] / store.rate_hz for place in order])
+    lengths = np.cumsum([in_seconds(store.take_frames[takes[place]], store.rate_hz) for place in order])
     count = max(1, int(np.searchsorted(lengths, MOST_SECONDS, side="right")))
     return [takes[place] for place in order[:count]]
 
@@ -171,3 +183,155 @@ def labelled_segments(store: Store, use: TemplateUse, label: str) -> tuple[Segme
     if beyond:
         remarks.append(f"labels beyond the end of their take, excluded: {few(beyond)}")
     return found, remarks
+
+
+F64 = npt.NDArray[np.float64]
+
+KEPT = 2
+"""Maximum number of templates whose held-out takes' words are kept in memory between two edits."""
+
+
+@dataclass(frozen=True)
+class TrainingCosts:
+    """The training clips of all classes, and what they cost for the templates of one class.
+
+    Attributes
+    ----------
+    clips : list of StoredClip
+        The C clips.
+    own : bool array (C,)
+        True for the clips of the class.
+    others : float64 array (C,)
+        Their least distance to the templates of the class besides the one that is edited.
+    delta : float
+        Entries of a template within delta of 0 or 1 count.
+    actors : int
+        The number of actors of the clips; those without one count as one more.
+    """
+
+    clips: list[StoredClip]
+    own: npt.NDArray[np.bool_]
+    others: F64
+    delta: float
+    actors: int
+
+    def of(self, one: SubclassTemplate) -> tuple[F64, F64] | None:
+        """Return the smallest distance of the class's templates in its own clips and in all others.
+
+        Parameters
+        ----------
+        one : SubclassTemplate
+            The template before the edit.
+
+        Returns
+        -------
+        (float64 array, float64 array) or None
+            ∞ where nothing fits; None where no clip of the class is left, or none fits.
+        """
+        if not self.own.any():
+            return None
+        costs = np.minimum(template_costs([one], self.clips, self.delta)[0], self.others)
+        own, rest = costs[self.own], costs[~self.own]
+        return (own, rest) if np.isfinite(own).any() else None
+
+
+@dataclass
+class Prepared:
+    """All that does not change while a template is edited.
+
+    Attributes
+    ----------
+    store : Store
+        The store.
+    use : TemplateUse
+        The templates of the stage.
+    one : SubclassTemplate
+        The template as it was learned.
+    label : str
+        Its class.
+    others : tuple of SubclassTemplate
+        The other templates of the class.
+    held_out : HeldOut
+        The takes to judge by.
+    batches : list of TakeWords
+        Their words, in the order of their ids.
+    training : TrainingCosts
+        The training clips.
+    material : PipelineMaterial
+        What the pipeline annotates with besides templates.
+    counts : dict of (float or None, bool) to Counts
+        The counts of the learned template for some thresholds, with and without the other classes.
+    """
+
+    store: Store
+    use: TemplateUse
+    one: SubclassTemplate
+    label: str
+    others: tuple[SubclassTemplate, ...]
+    held_out: HeldOut
+    batches: list[TakeWords]
+    training: TrainingCosts
+    material: PipelineMaterial
+    counts: dict[tuple[float | None, bool], Counts] = field(default_factory=dict)
+
+    @property
+    def tau(self) -> float:
+        """The threshold of the class in the pipeline."""
+        return self.use.tau(self.label)
+
+    @property
+    def takes(self) -> list[int]:
+        """The ids of the held-out takes, in the order of their words."""
+        return [take for batch in self.batches for take in batch.take_ids.tolist()]
+
+    @property
+    def own_class(self) -> Classes:
+        """The class of the template, with its subclasses, as the only class."""
+        names = tuple(each.subclass for each in (self.one, *self.others))
+        return Classes((MotionClass(self.label, "", names),))
+
+
+_PREPARED: Cache[tuple[object, ...], Prepared] = Cache(KEPT)
+_PREPARING = Lock()
+"""Held while the data of a template are read, so that further requests for them wait."""
+
+
+def prepared_template(archive: Archive, store: Store, asked: EditQuestion) -> Prepared:
+    """Return the data for judging edits of a template: ground truth, words and costs; cached for later requests."""
+    which = (asked.stage, asked.kind, asked.template, asked.truth, asked.everything)
+    key = (str(archive.path), store.manifest.version, archive.state()["labels"], *which)
+    with _PREPARING:
+        return _PREPARED.get(key) or _PREPARED.put(key, _prepare(store, asked))
+
+
+def _prepare(store: Store, asked: EditQuestion) -> Prepared:
+    use = template_use(store, asked.stage, asked.kind)
+    one = named(use, asked.template)
+    label = use.class_of(one.subclass)
+    every = use.class_templates(label)
+    others = tuple(other for other in every if other.subclass != one.subclass)
+    held_out = held_out_takes(store, use, label, every, asked.truth, everything=asked.everything)
+    batches = word_batches(store, sorted(held_out.takes)) if held_out.takes else []
+    training = training_costs(store, use, label, others)
+    return Prepared(store, use, one, label, others, held_out, batches, training, PipelineMaterial(store, use))
+
+
+def training_costs(
+    store: Store, use: TemplateUse, label: str, others: Sequence[SubclassTemplate] = ()
+) -> TrainingCosts:
+    """Return the training clips of a stage with their costs for some templates of a class."""
+    by_template = [(each, stored_clips(store, each)) for each in use.templates]
+    clips = [clip for _, own in by_template for clip in own]
+    mine = [use.class_of(each.subclass) == label for each, own in by_template for _ in own]
+    costs = template_costs(others, clips, use.params.delta) if others and clips else np.empty((0, len(clips)))
+    actor = dict(store.takes().select("name", "actor").iter_rows())
+    actors = len({actor.get(clip.take) or "" for clip in clips})
+    return TrainingCosts(clips, np.array(mine, np.bool_), costs.min(axis=0, initial=np.inf), use.params.delta, actors)
+
+
+def dividing_threshold(costs: tuple[F64, F64] | None) -> tuple[float, float] | None:
+    """Return the τ that best separates the clips of a class from all other clips, and its F; None without costs."""
+    if costs is None:
+        return None
+    tau, score = best_threshold(*costs)
+    return min(max(tau, 1e-6), 1.0), score

@@ -9,25 +9,21 @@ whether they fit the mirror image, and the template or query that found them.
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Annotated, Any
+from collections.abc import Iterable
+from typing import Annotated, Any
 
 import pyarrow as pa
 import pyarrow.compute as pc
 from pydantic import Field
+from starlette.requests import Request
 
 from kinedex.explorer.addresses import Question, post
-from kinedex.explorer.conditions import over_takes_alone
-from kinedex.explorer.selections import Selection, columns_with_nan, condition_of
+from kinedex.explorer.archive import Archive
+from kinedex.explorer.selections import Selection, columns_with_nan, condition_of, over_takes_alone
 from kinedex.ops.errors import ParameterError
-from kinedex.pipelines.ranking.examples import ChosenInterval
+from kinedex.ops.intervals import Hit, Interval
 from kinedex.storage.snapshot.labels import is_of_limbs
-
-if TYPE_CHECKING:
-    from starlette.requests import Request
-
-    from kinedex.explorer.archive import Archive
-    from kinedex.pipelines.ranking.ranked_hits import Ranking
-    from kinedex.storage.store.store import Store
+from kinedex.storage.store.store import Store
 
 MOST_HITS = 500
 """Maximum number of hits of one answer."""
@@ -47,7 +43,7 @@ class ChosenHit(Question):
     stop: Annotated[int, Field(ge=1)]
     mirrored: bool = False
 
-    def interval(self, store: Store) -> ChosenInterval:
+    def hit(self, store: Store) -> Hit:
         """Check the interval, and return it as an argument of searches.
 
         Raises
@@ -64,10 +60,9 @@ class ChosenHit(Question):
         if take_id is None or frames is None:
             raise ParameterError("take_id", "the id of a take; it may have been removed from the store", take_id)
         if not self.start < self.stop <= frames:
-            of = next((name for name, one in store.take_ids.items() if one == take_id), take_id)
-            expected = f"0 <= start < stop <= {frames}, the frames of {of}"
+            expected = f"0 <= start < stop <= {frames}, the frames of {store.take_names[take_id]}"
             raise ParameterError("start and stop", expected, [self.start, self.stop])
-        return ChosenInterval(take_id, self.start, self.stop, self.mirrored)
+        return Hit(Interval(store.take_names[take_id], self.start, self.stop), mirrored=self.mirrored)
 
 
 class LabelledQuestion(Question):
@@ -79,10 +74,9 @@ class LabelledQuestion(Question):
 def find_labels(archive: Archive, asked: LabelledQuestion, _request: Request) -> dict[str, Any]:
     """Return the labels of each hit, by the fraction of overlap, the largest first."""
     store = archive.store()
-    names = {take_id: name for name, take_id in store.take_ids.items()}
-    places = [one.interval(store) for one in asked.hits]
+    places = [one.hit(store).interval for one in asked.hits]
     rows = store.labels()
-    wanted = pa.array({names[one.take_id] for one in places}, rows.schema.field("take").type)
+    wanted = pa.array({one.take for one in places}, rows.schema.field("take").type)
     by_take: dict[str, list[dict[str, Any]]] = {}
     for row in rows.filter(pc.is_in(rows.column("take"), wanted)).to_pylist():
         if not is_of_limbs(row):
@@ -90,9 +84,9 @@ def find_labels(archive: Archive, asked: LabelledQuestion, _request: Request) ->
     labels = []
     for one in places:
         found: dict[tuple[str, str], float] = {}
-        for row in by_take.get(names[one.take_id], ()):
+        for row in by_take.get(one.take, ()):
             length = min(one.stop, row["stop"]) - max(one.start, row["start"])
-            share = length / min(one.stop - one.start, row["stop"] - row["start"])
+            share = length / min(one.frames, row["stop"] - row["start"])
             key = (row["class"], row["verdict"])
             if share >= SHARED and share > found.get(key, 0):
                 found[key] = share
@@ -105,19 +99,17 @@ def find_labels(archive: Archive, asked: LabelledQuestion, _request: Request) ->
     return {"labels": labels}
 
 
-def ranked_hits(ranking: Ranking) -> list[dict[str, Any]]:
-    """Return the hits of a ranking, the best first."""
+def shown_hits(store: Store, hits: Iterable[Hit]) -> list[dict[str, Any]]:
+    """Return hits in the form of the module's first lines."""
     return [
         {
-            "take_id": one.take_id,
-            "take": one.take,
-            "start": one.start,
-            "stop": one.stop,
+            "take_id": store.take_ids[one.interval.take],
+            **one.interval._asdict(),
             "cost": one.cost,
             "mirrored": one.mirrored,
-            "name": ranking.name,
+            "name": one.name,
         }
-        for one in ranking.hits
+        for one in hits
     ]
 
 

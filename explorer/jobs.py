@@ -25,20 +25,17 @@ from contextlib import suppress
 from dataclasses import dataclass, field
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import IO, TYPE_CHECKING, Any, Literal
+from typing import IO, Any, Literal
 from weakref import WeakKeyDictionary
+
+from starlette.requests import Request
 
 from kinedex.explorer.addresses import Question, get, post
 from kinedex.explorer.answers import NotFoundError
+from kinedex.explorer.archive import Archive
 from kinedex.explorer.same import command_line
-from kinedex.explorer.spare_process import SpareProcess
 from kinedex.storage.disk import write_errors
 from kinedex.storage.snapshot.manifest_files import versions
-
-if TYPE_CHECKING:
-    from starlette.requests import Request
-
-    from kinedex.explorer.archive import Archive
 
 FOLDER = "jobs"
 """The folder of the store with the logs of jobs."""
@@ -108,6 +105,51 @@ class Job:
             "share": share,
             "command": command_line("kinedex", *self.words),
         }
+
+
+PROGRAM = "kinedex.explorer.waiting_command"
+"""The module that the process runs."""
+
+
+class SpareProcess:
+    """The server's handle of a process that waits for a command.
+
+    Parameters
+    ----------
+    options : mapping, optional
+        Further arguments of `subprocess.Popen`.
+    """
+
+    def __init__(self, **options: Any) -> None:
+        words = [sys.executable, "-m", PROGRAM]
+        null = subprocess.DEVNULL
+        self._process = subprocess.Popen(words, stdin=subprocess.PIPE, stdout=null, stderr=null, **options)
+
+    @property
+    def waits(self) -> bool:
+        """True if it can be given a command."""
+        return self._process.poll() is None
+
+    def run(self, words: Sequence[str], log: Path) -> subprocess.Popen[bytes] | None:
+        """Run a command of `kinedex`, whose output is appended to a file; None if the process has ended meanwhile."""
+        assert self._process.stdin is not None
+        try:
+            self._process.stdin.write(json.dumps({"words": list(words), "log": str(log.absolute())}).encode() + b"\n")
+            self._process.stdin.close()
+        except OSError:
+            return None
+        return self._process
+
+    def end(self) -> None:
+        """Close the input of the process, which then ends."""
+        assert self._process.stdin is not None
+        with suppress(OSError):
+            self._process.stdin.close()
+        try:
+            self._process.wait(1.0)
+        except subprocess.TimeoutExpired:  # it is still importing
+            self._process.kill()
+            self._process.wait()
 
 
 class Jobs:

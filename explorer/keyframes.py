@@ -7,6 +7,12 @@
  `fault`: {message, line}, and no hits, so that the page can mark the line while somebody types.
 
 `POST /api/ask/propose` {take_id | take, start, stop, keyframes?, name?} → {text, query}: keyframes of an example.
+
+The learned keyframe queries of a store, as poses with the frames of a training clip that show them.
+
+`GET /api/queries?stage=` → {stages: [name], stage, queries: [{name, class, origin, precision, recall, fitness, runs,
+ clips, text, query: {name, poses: [{on, off}], gaps: [{low, high}]} or null, sentence, seen}]}. `seen` is null, or
+ {take_id, take, frames: [frame of each pose]}: the first training clip in which the query finds something.
 """
 
 from __future__ import annotations
@@ -14,30 +20,35 @@ from __future__ import annotations
 import time
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import Annotated, Any
 
 import numpy as np
 from pydantic import Field, model_validator
+from starlette.requests import Request
 
 from kinedex.catalog.configs import parse_yaml, scalar
-from kinedex.catalog.queries.keyframe_query import KeyframeQuery, features_of
+from kinedex.catalog.queries.keyframe_query import KeyframeQuery, WordPattern, features_of, word_pattern
 from kinedex.catalog.queries.query_files import parse_queries, references
-from kinedex.catalog.queries.query_writer import pose_groups
-from kinedex.explorer.addresses import Question, post
-from kinedex.explorer.hits import ChosenHit, Limit, take_condition
+from kinedex.catalog.queries.query_writer import pose_groups, pose_text, write_queries
+from kinedex.explorer.addresses import Question, get, post
+from kinedex.explorer.answers import NotFoundError
+from kinedex.explorer.archive import Archive
+from kinedex.explorer.hits import ChosenHit, Limit, shown_hits, take_condition
 from kinedex.explorer.same import command_line, python_lines
 from kinedex.explorer.selections import Selection
+from kinedex.explorer.templates import learning_stages
 from kinedex.ops.errors import ConfigError, KinedexError
+from kinedex.ops.intervals import in_seconds, nearest_frame
 from kinedex.ops.search.gaps import UNBOUNDED
+from kinedex.ops.words import NO_WORD, U64
+from kinedex.pipelines.keyframes.learning import Outcome, keyframe_queries
+from kinedex.pipelines.keyframes.runs import outcomes_of
+from kinedex.pipelines.keyframes.stored_queries import sentence
 from kinedex.pipelines.search.query_proposal import propose_query
 from kinedex.pipelines.search.search import search_remarks, search_store
-
-if TYPE_CHECKING:
-    import pyarrow as pa
-    from starlette.requests import Request
-
-    from kinedex.explorer.archive import Archive
-    from kinedex.storage.store.store import Store
+from kinedex.pipelines.templates.nearest_examples import stored_clips, words_of
+from kinedex.storage.snapshot.schemas import hits_of
+from kinedex.storage.store.store import Store
 
 MOST_TEXT = 100_000
 MOST_POSES = 20
@@ -114,7 +125,7 @@ def find_keyframes(archive: Archive, asked: KeyframesQuestion, _request: Request
         "text": text,
         "query": model_of(queries, store),
         "fault": None,
-        "hits": _hits(table.slice(0, asked.limit)),
+        "hits": shown_hits(store, hits_of(table.slice(0, asked.limit), "query")),
         "total": table.num_rows,
         "takes": len(np.unique(table.column("take_id").to_numpy())),
         "share": float(np.sum(stops - starts)) / max(frames, 1),
@@ -124,21 +135,6 @@ def find_keyframes(archive: Archive, asked: KeyframesQuestion, _request: Request
         "command": command_line("kinedex", "search", archive.path, f"{queries[0].name}.yaml", *where),
         "python": python_lines(archive.path, f"store.search({f'{queries[0].name}.yaml'!r}{more})"),
     }
-
-
-def _hits(table: pa.Table) -> list[dict[str, Any]]:
-    return [
-        {
-            "take_id": row["take_id"],
-            "take": row["take"],
-            "start": row["start"],
-            "stop": row["stop"],
-            "cost": None,
-            "mirrored": False,
-            "name": row["query"],
-        }
-        for row in table.to_pylist()
-    ]
 
 
 def read_text(text: str, store: Store) -> tuple[KeyframeQuery, ...]:
@@ -167,23 +163,18 @@ def written(query: QueryEntry, store: Store) -> str:
         if unknown := [name for name in (*pose.on, *pose.off) if name not in known]:
             raise KinedexError(f"pose {number + 1}: no feature is named '{unknown[0]}'")
         after = f"after: {_gap(query.gaps[number - 1], store.rate_hz)}, " if number else ""
-        lines.append(f"    - {{{after}{_switches(pose, store)}}}")
+        lines.append(f"    - {{{after}{pose_text(pose.on, pose.off, store.feature_set)}}}")
     return "\n".join(lines) + "\n"
 
 
 def _gap(gap: GapEntry, rate_hz: float) -> str:
     """Return a gap in whole frames, as query files write it."""
-    low = round(gap.low * rate_hz)
-    return f"at least {low} frames" if gap.high is None else f"{low} to {max(low, round(gap.high * rate_hz))} frames"
-
-
-def _switches(pose: PoseEntry, store: Store) -> str:
-    names = (("on", pose.on), ("off", pose.off))
-    shown = [f"{word}: [{', '.join(scalar(name) for name in those)}]" for word, those in names if those]
-    if shown:
-        return ", ".join(shown)
-    anything = next(iter(store.feature_set.sets.values()))
-    return f'set: {anything.name}, pattern: "{"*" * anything.count}"'
+    low = nearest_frame(gap.low, rate_hz)
+    return (
+        f"at least {low} frames"
+        if gap.high is None
+        else f"{low} to {max(low, nearest_frame(gap.high, rate_hz))} frames"
+    )
 
 
 def model_of(queries: Sequence[KeyframeQuery], store: Store) -> dict[str, Any] | None:
@@ -201,19 +192,17 @@ def model_of(queries: Sequence[KeyframeQuery], store: Store) -> dict[str, Any] |
         poses.append({"on": on, "off": off})
         if group[0]:
             gap = first.gaps[group[0] - 1]
-            high = None if gap.high >= UNBOUNDED else gap.high / store.rate_hz
-            gaps.append({"low": gap.low / store.rate_hz, "high": high})
+            high = None if gap.high >= UNBOUNDED else in_seconds(gap.high, store.rate_hz)
+            gaps.append({"low": in_seconds(gap.low, store.rate_hz), "high": high})
     return {"name": first.name, "poses": poses, "gaps": gaps}
 
 
 def propose(archive: Archive, asked: ProposalQuestion, _request: Request) -> dict[str, Any]:
     """Return keyframes of an example, as text and as poses."""
     store = archive.store()
-    names = {take_id: name for name, take_id in store.take_ids.items()}
-    one = asked.interval(store)
-    take = names[one.take_id]
-    text = propose_query(store, take, one.start, one.stop, name=asked.name, keyframes=asked.keyframes)
-    words: list[str | Path] = ["kinedex", "query", "from-clip", archive.path, take, str(one.start), str(one.stop)]
+    take, start, stop = asked.hit(store).interval
+    text = propose_query(store, take, start, stop, name=asked.name, keyframes=asked.keyframes)
+    words: list[str | Path] = ["kinedex", "query", "from-clip", archive.path, take, str(start), str(stop)]
     return {
         "text": text,
         "query": model_of(read_text(text, store), store),
@@ -221,7 +210,92 @@ def propose(archive: Archive, asked: ProposalQuestion, _request: Request) -> dic
     }
 
 
+Row = dict[str, Any]
+
+
+def list_queries(archive: Archive, request: Request) -> Row:
+    """Return the learned keyframe queries of a stage."""
+    store = archive.store()
+    stages = learning_stages(store, "queries")
+    if not stages:
+        return {"stages": [], "queries": [], "command": command_line("kinedex", "keyframes", "learn", archive.path)}
+    stage = request.query_params.get("stage") or stages[0]
+    if stage not in stages:
+        raise NotFoundError(f"no stage '{stage}' has learned queries; those that have: {', '.join(stages)}")
+    outcomes = outcomes_of(store.result("queries", stage=stage))
+    taken = {one.subclass for one in outcomes}
+    rows = [row for one in outcomes for row in _rows(store, one, keyframe_queries(one, store.feature_set, taken))]
+    show = command_line("kinedex", "keyframes", "show", archive.path, "--pipeline", stage)
+    return {"stages": stages, "stage": stage, "queries": rows, "command": show}
+
+
+def _rows(store: Store, outcome: Outcome, queries: Sequence[KeyframeQuery]) -> list[Row]:
+    """Return the queries of one class; the scores refer to all of its queries together."""
+    return [
+        {
+            "name": query.name,
+            "class": outcome.subclass,
+            "origin": outcome.consensus.origin if number == 0 else "run",
+            "precision": outcome.precision,
+            "recall": outcome.recall,
+            "fitness": outcome.consensus.fitness,
+            "runs": outcome.runs,
+            "clips": len(outcome.clips),
+            "text": write_queries([query], store.feature_set),
+            "query": model_of([query], store),
+            "sentence": sentence(query, store.feature_set),
+            "seen": _seen(store, outcome, query),
+        }
+        for number, query in enumerate(queries)
+    ]
+
+
+def _seen(store: Store, outcome: Outcome, query: KeyframeQuery) -> Row | None:
+    """Return the frames of a query's poses in the first training clip that has a hit; None if no clip has one."""
+    clips = stored_clips(store, outcome.clips)
+    words = words_of(store, sorted({take for take, _, _ in clips}))
+    pattern = word_pattern(query, store.feature_set)
+    for take, start, stop in clips:
+        frames = frames_of_poses(words[take][start:stop], pattern)
+        if frames is not None:
+            return {"take_id": store.take_ids[take], "take": take, "frames": [start + frame for frame in frames]}
+    return None
+
+
+def frames_of_poses(words: U64, pattern: WordPattern) -> list[int] | None:
+    """Return the first frames of a motion that show the keyframes of a query in their order, None where none do.
+
+    Parameters
+    ----------
+    words : uint64 array (T,)
+        The words of the motion.
+    pattern : WordPattern
+        The keyframes and the gaps between them.
+    """
+    valid = words != NO_WORD
+    seen = [
+        valid & ((words & np.uint64(mask)) == np.uint64(value))
+        for mask, value in zip(pattern.masks, pattern.values, strict=True)
+    ]
+    reach = [seen[-1]]  # the frames of each keyframe from which the others can follow, the last keyframe first
+    for place in range(len(seen) - 2, -1, -1):
+        low, high = pattern.gaps[place]
+        before = np.concatenate(([0], np.cumsum(reach[-1])))
+        frames = np.arange(len(words))
+        first, last = np.minimum(frames + low, len(words)), np.minimum(frames + high + 1, len(words))
+        reach.append(seen[place] & (before[last] > before[first]))
+    reach.reverse()
+    if not reach[0].any():
+        return None
+    found = [int(np.argmax(reach[0]))]
+    for (low, _), here in zip(pattern.gaps, reach[1:], strict=True):
+        after = found[-1] + low
+        found.append(after + int(np.argmax(here[after:])))
+    return found
+
+
 routes = [
     post("/api/ask/keyframes", find_keyframes, KeyframesQuestion),
     post("/api/ask/propose", propose, ProposalQuestion),
+    get("/api/queries", list_queries),
 ]

@@ -229,7 +229,7 @@ def take_labels(archive: Archive, request: Request) -> Row:
         the query's `stage`, or of the current pipeline; None where nothing was annotated), and its `annotations`.
     """
     store, take_id = take_of(archive, request)
-    name = next(name for name, one in store.take_ids.items() if one == take_id)
+    name = store.take_names[take_id]
     rows = shown_labels(store)
     rows = rows.filter(pc.equal(rows.column("take"), name)).to_pylist()
     stage = stage_of(store, request.query_params.get("stage"))

@@ -9,27 +9,24 @@ little-endian uint64 per analysis frame (bit i − 1 is feature Fi; 2⁶⁴ − 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping
-from typing import TYPE_CHECKING, Any
+from functools import partial
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 import pyarrow.compute as pc
-from starlette.responses import Response
+from starlette.requests import Request
 
-from kinedex.explorer.addresses import get, take_of
+from kinedex.explorer.addresses import get, get_of_take, take_of
 from kinedex.explorer.answers import NotFoundError
-from kinedex.explorer.motion import POSITIONS, PositionCache, frames_of, whole_number
+from kinedex.explorer.archive import Archive
+from kinedex.explorer.motion import POSITIONS, PositionCache, check_frame, frames_of, whole_number
 from kinedex.explorer.same import command_line, python_lines
 from kinedex.ops.body.fault_marks import fault_marks
 from kinedex.ops.errors import ParameterError, did_you_mean
-from kinedex.ops.intervals import in_seconds
+from kinedex.ops.intervals import in_seconds, nearest_frame
 from kinedex.ops.words import ALL_KNOWN, NO_WORD, U64
 from kinedex.storage.store.store import Store
-
-if TYPE_CHECKING:
-    from starlette.requests import Request
-
-    from kinedex.explorer.archive import Archive
 
 Row = dict[str, Any]
 F64 = npt.NDArray[np.float64]
@@ -176,9 +173,8 @@ def _grouped(rows: Iterable[Row], key: Callable[[Row], str]) -> dict[str, list[R
 
 def _label_lanes(store: Store, take_id: int) -> list[Row]:
     """Return the labels of people, a lane for each verdict."""
-    name = next(name for name, one in store.take_ids.items() if one == take_id)
     rows = store.labels()
-    rows = rows.filter(pc.equal(rows.column("take"), name)).to_pylist()
+    rows = rows.filter(pc.equal(rows.column("take"), store.take_names[take_id])).to_pylist()
     shown = ("id", "class", "start", "stop", "limb", "verdict", "annotator", "origin", "confidence", "note")
     found = _grouped(({key: row[key] for key in shown} for row in rows), lambda row: row["verdict"])
     titles = {"positive": "Labels", "negative": "Rejected"}
@@ -249,14 +245,11 @@ def _ranked_lanes(store: Store, take_id: int) -> list[Row]:
     return [_lane("hits", "Ranked hits", rows, "the best hits of templates")] if rows else []
 
 
-def _limb_error_lanes(store: Store, take_id: int) -> list[Row]:
-    """Return the segments in which a limb is wrong or jumps according to sensors, a lane for each limb."""
-    return _limb_lanes(store, take_id, "limb_error_runs", "kind AS class, peak_deg, mean_deg, tau_deg", "errors")
-
-
-def _limb_label_lanes(store: Store, take_id: int) -> list[Row]:
-    """Return the segments in which people have labelled a limb as wrong, a lane for each limb."""
-    return _limb_lanes(store, take_id, "limb_labels", "coalesce(annotator, 'wrong') AS class", "marked")
+def _duplicate_lanes(store: Store, take_id: int) -> list[Row]:
+    """Return the ranges that are also in another take."""
+    columns = "of_take AS class, of_take_id, same, start, stop, share, shift_seconds, mirrored"
+    rows = store.sql(_PLAIN.format(columns=columns, view="duplicates"), [take_id]).to_pylist()
+    return [_lane("duplicates", "Also in another take", rows, "duplicates")] if rows else []
 
 
 def _limb_lanes(store: Store, take_id: int, view: str, text: str, name: str) -> list[Row]:
@@ -264,20 +257,13 @@ def _limb_lanes(store: Store, take_id: int, view: str, text: str, name: str) -> 
     columns = f"limb, start_seconds, stop_seconds, {text}"
     rows = store.sql(_PLAIN.format(columns=columns, view=view), [take_id]).to_pylist()
     for row in rows:
-        row["start"] = round(row.pop("start_seconds") * store.rate_hz)
-        row["stop"] = max(row["start"] + 1, round(row.pop("stop_seconds") * store.rate_hz))
+        row["start"] = nearest_frame(row.pop("start_seconds"), store.rate_hz)
+        row["stop"] = max(row["start"] + 1, nearest_frame(row.pop("stop_seconds"), store.rate_hz))
     detail = "reported by sensors" if name == "errors" else "marked by people"
     return [
         _lane("limbs", f"{limb} {name}", own, f"limb {limb}, {detail}", f"{name}/{limb}")
         for limb, own in sorted(_grouped(rows, lambda row: row["limb"]).items())
     ]
-
-
-def _duplicate_lanes(store: Store, take_id: int) -> list[Row]:
-    """Return the ranges that are also in another take."""
-    columns = "of_take AS class, of_take_id, same, start, stop, share, shift_seconds, mirrored"
-    rows = store.sql(_PLAIN.format(columns=columns, view="duplicates"), [take_id]).to_pylist()
-    return [_lane("duplicates", "Also in another take", rows, "duplicates")] if rows else []
 
 
 def _quality_lanes(cache: PositionCache, store: Store, take_id: int) -> list[Row]:
@@ -308,8 +294,12 @@ _READERS: dict[str, Callable[[Store, int], list[Row]]] = {
     "method_cells": _compared_lanes,
     "hits": _hit_lanes,
     "ranked_hits": _ranked_lanes,
-    "limb_error_runs": _limb_error_lanes,
-    "limb_labels": _limb_label_lanes,
+    "limb_error_runs": partial(
+        _limb_lanes, view="limb_error_runs", text="kind AS class, peak_deg, mean_deg, tau_deg", name="errors"
+    ),
+    "limb_labels": partial(
+        _limb_lanes, view="limb_labels", text="coalesce(annotator, 'wrong') AS class", name="marked"
+    ),
     "duplicates": _duplicate_lanes,
 }
 """The kinds of results that have lanes, in their order."""
@@ -348,7 +338,8 @@ def limb_error_curve(store: Store, take_id: int, limb: str) -> npt.NDArray[np.fl
     if not rows.num_rows:
         raise ParameterError("limb", "a limb with errors in this take (`FROM limb_errors`)", limb)
     times, degrees = (rows.column(name).to_numpy(zero_copy_only=False) for name in ("t", "degrees"))
-    return nearest_in_time(times, degrees, np.arange(frames) / store.rate_hz, 1 / store.rate_hz).astype("<f4")
+    wanted = in_seconds(np.arange(frames), store.rate_hz)
+    return nearest_in_time(times, degrees, wanted, 1 / store.rate_hz).astype("<f4")
 
 
 def nearest_in_time(times: F64, values: F64, wanted: F64, within: float) -> F64:
@@ -397,9 +388,7 @@ def pose_reading(store: Store, take_id: int, frame: int) -> Row:
     ParameterError
         The take has no such frame.
     """
-    frames = frames_of(store, take_id)
-    if not 0 <= frame < frames:
-        raise ParameterError("frame", f"from 0 to {frames - 1}, the frames of the take", frame)
+    check_frame(store, take_id, frame)
     word = words_of_take(store, take_id)[frame]
     features, every = store.feature_set, store.feature_set.every_bit
     known = store.known.get(take_id, int(ALL_KNOWN)) & every if word != NO_WORD else 0
@@ -417,10 +406,6 @@ def pose_reading(store: Store, take_id: int, frame: int) -> Row:
     }
 
 
-def _document(archive: Archive, request: Request) -> Row:
-    return take_document(*take_of(archive, request))
-
-
 def _named(archive: Archive, request: Request) -> Row:
     store, name = archive.store(), request.query_params.get("name", "")
     if name not in store.take_ids:
@@ -428,18 +413,8 @@ def _named(archive: Archive, request: Request) -> Row:
     return take_document(store, store.take_ids[name])
 
 
-def _words(archive: Archive, request: Request) -> Response:
-    words = words_of_take(*take_of(archive, request))
-    return Response(words.astype("<u8").tobytes(), media_type="application/octet-stream")
-
-
-def _lanes(archive: Archive, request: Request) -> Row:
-    return take_lanes(POSITIONS, *take_of(archive, request))
-
-
-def _limb_error(archive: Archive, request: Request) -> Response:
-    curve = limb_error_curve(*take_of(archive, request), request.query_params.get("limb", ""))
-    return Response(curve.tobytes(), media_type="application/octet-stream")
+def _limb_error(archive: Archive, request: Request) -> bytes:
+    return limb_error_curve(*take_of(archive, request), request.query_params.get("limb", "")).tobytes()
 
 
 def _pose(archive: Archive, request: Request) -> Row:
@@ -448,9 +423,9 @@ def _pose(archive: Archive, request: Request) -> Row:
 
 routes = [
     get("/api/take", _named),
-    get("/api/takes/{take:int}", _document),
-    get("/api/takes/{take:int}/words", _words),
-    get("/api/takes/{take:int}/lanes", _lanes),
+    get_of_take("", take_document),
+    get_of_take("/words", lambda store, take: words_of_take(store, take).astype("<u8").tobytes()),
+    get_of_take("/lanes", partial(take_lanes, POSITIONS)),
     get("/api/takes/{take:int}/limb-error", _limb_error),
     get("/api/takes/{take:int}/pose", _pose),
 ]

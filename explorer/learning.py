@@ -17,14 +17,16 @@ import json
 from collections import Counter
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from typing import Annotated, Any, Literal
 
 import yaml
 from pydantic import Field
+from starlette.requests import Request
 
 from kinedex.catalog.classes import OWN, class_files
 from kinedex.catalog.configs import load_yaml
 from kinedex.explorer.addresses import Question, get, post
+from kinedex.explorer.archive import Archive
 from kinedex.explorer.jobs import FOLDER, Job, NoQuestion, jobs_of, run_words
 from kinedex.explorer.labels import stage_of
 from kinedex.explorer.same import command_line
@@ -36,11 +38,6 @@ from kinedex.storage.disk import replace_file, write_errors
 from kinedex.storage.formats.labels.segments import ManualSegment
 from kinedex.storage.snapshot.shown_results import current_pipeline
 from kinedex.storage.store.store import Store, open_store
-
-if TYPE_CHECKING:
-    from starlette.requests import Request
-
-    from kinedex.explorer.archive import Archive
 
 Row = dict[str, Any]
 

@@ -7,23 +7,19 @@ import importlib.util
 import multiprocessing
 import os
 import threading
-from collections import OrderedDict
 from collections.abc import AsyncIterator
 from contextlib import suppress
 from multiprocessing.connection import Connection
 from pathlib import Path
-from typing import TYPE_CHECKING
 from weakref import WeakKeyDictionary
 
+from kinedex.explorer.archive import Archive
+from kinedex.ops.cache import Cache
 from kinedex.ops.errors import KinedexError
 from kinedex.ops.maps.layout import PURPOSE
 from kinedex.ops.packages import MissingPackageError, extra_package
 from kinedex.pipelines.maps.archive_map import ArchiveMap, Unit, archive_map
-from kinedex.storage.store.store import open_store
-
-if TYPE_CHECKING:
-    from kinedex.explorer.archive import Archive
-    from kinedex.storage.store.store import Store
+from kinedex.storage.store.store import Store, open_store
 
 KEPT = 4
 """Maximum number of maps that are cached, with some 30 bytes a point."""
@@ -118,7 +114,7 @@ class Maps:
     """The cached maps of an explorer, and the maps that are being computed; used on one event loop."""
 
     def __init__(self) -> None:
-        self._kept: OrderedDict[Key, ArchiveMap] = OrderedDict()
+        self._kept: Cache[Key, ArchiveMap] = Cache(KEPT)
         self._running: dict[Key, MapRun] = {}
 
     async def find(self, store: Store, unit: Unit) -> AsyncIterator[Step | ArchiveMap]:
@@ -140,9 +136,9 @@ class Maps:
             There is no map; the message has the reason.
         """
         key = (store.manifest.content or str(store.manifest.version), unit)
-        if key in self._kept:
-            self._kept.move_to_end(key)
-            yield self._kept[key]
+        kept = self._kept.get(key)
+        if kept is not None:
+            yield kept
             return
         run = self._running.get(key)
         if run is None or run.stopped:
@@ -165,10 +161,7 @@ class Maps:
         if run.fault is not None:
             raise run.fault
         assert run.result is not None
-        self._kept[key] = run.result
-        while len(self._kept) > KEPT:
-            self._kept.popitem(last=False)
-        yield run.result
+        yield self._kept.put(key, run.result)
 
 
 def require_extra() -> None:

@@ -17,30 +17,25 @@ from __future__ import annotations
 import json
 from collections import Counter
 from collections.abc import AsyncIterator
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from anyio import to_thread
+from starlette.requests import Request
 from starlette.responses import Response, StreamingResponse
 from starlette.routing import Route
 
-from kinedex.explorer.addresses import post
+from kinedex.explorer.addresses import LINES, fault_line, post
 from kinedex.explorer.answers import Json
-from kinedex.explorer.conditions import own_words
+from kinedex.explorer.archive import Archive
 from kinedex.explorer.map_processes import maps_of, require_extra
-from kinedex.explorer.progress import LINES, fault_line
 from kinedex.explorer.same import python_lines, same_query
-from kinedex.explorer.selections import SQL_SECONDS, Selection, columns_with_nan, condition_of, expression
+from kinedex.explorer.selections import SQL_SECONDS, Selection, columns_with_nan, condition_of, expression, own_words
 from kinedex.explorer.store import NUMERIC
 from kinedex.ops.errors import ParameterError
 from kinedex.pipelines.maps.archive_map import ArchiveMap, Cluster, Unit, trait_words
 from kinedex.storage.duck import sql_type
-
-if TYPE_CHECKING:
-    from starlette.requests import Request
-
-    from kinedex.explorer.archive import Archive
-    from kinedex.storage.store.store import Store
+from kinedex.storage.store.store import Store
 
 NO_VALUE, NO_FIT = -1, -2
 """Codes of takes without a value, and of those that do not fit the filters."""
@@ -73,14 +68,13 @@ async def _lines(request: Request, archive: Archive, store: Store, unit: Unit) -
 def _described(archive: Archive, store: Store, unit: Unit, found: ArchiveMap) -> dict[str, Any]:
     """Return a map as a JSON object for pages."""
     takes, owner = np.unique(found.take_ids, return_inverse=True)
-    names = {take_id: name for name, take_id in store.take_ids.items()}
     places = np.round(found.places.astype(np.float64), 4)
     line = "store.map()" if unit == "takes" else 'store.map("windows")'
     return {
         "unit": unit,
         "version": store.manifest.version,
         "takes": takes.tolist(),
-        "names": [names[take] for take in takes.tolist()],
+        "names": [store.take_names[take] for take in takes.tolist()],
         "owner": owner.tolist(),
         "starts": found.starts.tolist(),
         "stops": found.stops.tolist(),

@@ -21,30 +21,26 @@ and faces the viewer (+Z) with its left towards +X.
 from __future__ import annotations
 
 import struct
-from collections import OrderedDict
-from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import dataclass
-from threading import Lock
-from typing import TYPE_CHECKING, Annotated
+from collections.abc import Iterator, Sequence
+from typing import Annotated
 
 import numpy as np
 import numpy.typing as npt
+import pyarrow as pa
 from pydantic import Field
+from starlette.requests import Request
 from starlette.responses import Response, StreamingResponse
 
 from kinedex.explorer.addresses import Question, get, post, take_of
+from kinedex.explorer.archive import Archive
 from kinedex.ops.body.facing_direction import Placement, facing_yaw, start_at_origin
+from kinedex.ops.cache import Cache
 from kinedex.ops.errors import KinedexError, ParameterError
+from kinedex.ops.intervals import Interval
 from kinedex.ops.withdrawal import check_withdrawn
 from kinedex.storage.snapshot.frames import read_intervals
 from kinedex.storage.snapshot.parts import joint_positions
 from kinedex.storage.store.store import Store
-
-if TYPE_CHECKING:
-    import pyarrow as pa
-    from starlette.requests import Request
-
-    from kinedex.explorer.archive import Archive
 
 F32 = npt.NDArray[np.float32]
 
@@ -72,15 +68,6 @@ _LARGEST = 32_767
 _HEADER = struct.Struct("<4s4I5f8x")
 
 
-@dataclass(frozen=True)
-class ShownFrames:
-    """The frames [start, stop) of a take."""
-
-    take_id: int
-    start: int
-    stop: int
-
-
 class PositionCache:
     """Joint positions of takes that were read lately, within a bound of memory. Several threads may use it.
 
@@ -92,61 +79,39 @@ class PositionCache:
 
     def __init__(self, most_bytes: int = 64_000_000) -> None:
         self._most_bytes = most_bytes
-        self._bytes = 0
-        self._held: OrderedDict[tuple[str, int, int], F32] = OrderedDict()
-        self._lock = Lock()
+        self._held: Cache[tuple[str, int, int], F32] = Cache(most_bytes, lambda one: one.nbytes)
 
     def positions(self, store: Store, take_id: int) -> F32:
         """Return the positions of a take, float32 (T, J, 3) in metres, NaN where unknown."""
-        return next(found for _, found in self.every(store, [take_id]))
-
-    def every(self, store: Store, take_ids: Iterable[int]) -> Iterator[tuple[int, F32]]:
-        """Yield the ids and the positions of takes: cached ones first, then the others in the order of the store."""
-        names = _names(store, take_ids)
-        missing = {}
-        for take_id, name in names.items():
-            held = self._at_hand(store, take_id)
-            if held is None:
-                missing[name] = take_id
-            else:
-                yield take_id, held
+        name, held = name_of(store, take_id), self._at_hand(store, take_id)
+        if held is not None:
+            return held
         joints = store.feature_set.joints
-        for name, table in store.frames_of(missing, joints) if missing else ():
-            read = _positions(table, joints)
-            self._keep(self._key(store, missing[name]), read)
-            yield missing[name], read
+        _, table = next(store.frames_of([name], joints))
+        read = _positions(table, joints)
+        fits = read.nbytes <= self._most_bytes
+        return self._held.put(_key(store, take_id), read) if fits else read
 
-    def intervals(self, store: Store, items: Sequence[ShownFrames]) -> Iterator[tuple[int, F32]]:
+    def intervals(self, store: Store, items: Sequence[Interval]) -> Iterator[tuple[int, F32]]:
         """Yield the index and the positions of each interval, in any order; of takes not cached, only it is read."""
         missing = []
         for place, one in enumerate(items):
-            held = self._at_hand(store, one.take_id)
+            held = self._at_hand(store, store.take_ids[one.take])
             if held is None:
                 missing.append(place)
             else:
                 yield place, held[one.start : one.stop]
-        asked = [(items[place].take_id, items[place].start, items[place].stop) for place in missing]
+        asked = [(store.take_ids[items[place].take], items[place].start, items[place].stop) for place in missing]
         joints = store.feature_set.joints
         for number, table in read_intervals(store.checked, store.manifest, asked, joints):
             yield missing[number], _positions(table, joints)
 
-    def _key(self, store: Store, take_id: int) -> tuple[str, int, int]:
-        return str(store.path), store.manifest.version, take_id
-
     def _at_hand(self, store: Store, take_id: int) -> F32 | None:
-        key = self._key(store, take_id)
-        with self._lock:
-            if key in self._held:
-                self._held.move_to_end(key)
-            return self._held.get(key)
+        return self._held.get(_key(store, take_id))
 
-    def _keep(self, key: tuple[str, int, int], read: F32) -> None:
-        with self._lock:
-            if key not in self._held and read.nbytes <= self._most_bytes:
-                self._held[key] = read
-                self._bytes += read.nbytes
-            while self._bytes > self._most_bytes:
-                self._bytes -= self._held.popitem(last=False)[1].nbytes
+
+def _key(store: Store, take_id: int) -> tuple[str, int, int]:
+    return str(store.path), store.manifest.version, take_id
 
 
 POSITIONS = PositionCache()
@@ -156,16 +121,6 @@ POSITIONS = PositionCache()
 def _positions(table: pa.Table, joints: Sequence[str]) -> F32:
     """Return the positions in rows of a frames part, float32 (T, J, 3)."""
     return np.ascontiguousarray(joint_positions(table, joints).transpose(2, 0, 1))
-
-
-def _names(store: Store, take_ids: Iterable[int]) -> dict[int, str]:
-    """Return the names of takes by their ids, each once."""
-    wanted = dict.fromkeys(take_ids)
-    names = {take_id: name for name, take_id in store.take_ids.items() if take_id in wanted}
-    for take_id in wanted:
-        if take_id not in names:
-            raise KinedexError(f"{store.path}: no take has the id {take_id}; `Store.takes()` lists those that are")
-    return {take_id: names[take_id] for take_id in wanted}
 
 
 def motion_blocks(
@@ -225,17 +180,31 @@ def _bounds(positions: npt.NDArray[np.floating]) -> tuple[npt.NDArray[np.floatin
     return low, np.fmax.reduce(np.fmax.reduce(positions, 0, initial=-np.inf), 0, initial=-np.inf)
 
 
-def frames_of(store: Store, take_id: int) -> int:
-    """Return the number of analysis frames of a take.
-
-    Raises
-    ------
-    KinedexError
-        No take has this id.
-    """
-    if take_id not in store.take_frames:
+def name_of(store: Store, take_id: int) -> str:
+    """Return the name of a take; raise a KinedexError if there is none of this id."""
+    if take_id not in store.take_names:
         raise KinedexError(f"{store.path}: no take has the id {take_id}; `Store.takes()` lists those that are")
+    return store.take_names[take_id]
+
+
+def frames_of(store: Store, take_id: int) -> int:
+    """Return the number of analysis frames of a take; raise a KinedexError if there is none of this id."""
+    name_of(store, take_id)
     return store.take_frames[take_id]
+
+
+def check_frame(store: Store, take_id: int, frame: int) -> None:
+    """Raise a ParameterError if a take has no such frame."""
+    frames = frames_of(store, take_id)
+    if not 0 <= frame < frames:
+        raise ParameterError("frame", f"from 0 to {frames - 1}, the frames of the take", frame)
+
+
+def check_interval(store: Store, one: Interval, what: str) -> None:
+    """Raise a ParameterError if an interval, called `what` in the message, is not within its take."""
+    total = store.take_frames[store.take_ids[one.take]]
+    if not 0 <= one.start < one.stop <= total:
+        raise ParameterError(what, f"0 <= start < stop <= {total}, the frames of the take", (one.start, one.stop))
 
 
 def packed(positions: npt.NDArray[np.floating], rate_hz: float, first: int = 0, step: int = 1) -> bytes:
@@ -267,7 +236,7 @@ def packed(positions: npt.NDArray[np.floating], rate_hz: float, first: int = 0, 
     return header + numbers.astype("<i2").tobytes()
 
 
-def figures(cache: PositionCache, store: Store, items: Sequence[ShownFrames], frames: int) -> bytes:
+def figures(cache: PositionCache, store: Store, items: Sequence[Interval], frames: int) -> bytes:
     """Return many small motions in one answer, in the format that the module describes.
 
     Parameters
@@ -276,7 +245,7 @@ def figures(cache: PositionCache, store: Store, items: Sequence[ShownFrames], fr
         The cache of joint positions.
     store : Store
         The store of the takes.
-    items : sequence of ShownFrames
+    items : sequence of Interval
         The intervals, at most `MOST_FIGURES`; the answer has their order.
     frames : int
         Most stored frames of a figure, from 1 on: of a longer interval every second frame is sent, or every third, …
@@ -292,16 +261,13 @@ def figures(cache: PositionCache, store: Store, items: Sequence[ShownFrames], fr
         raise ParameterError("items", f"at most {MOST_FIGURES} intervals", len(items))
     if frames < 1:
         raise ParameterError("frames", "at least 1", frames)
-    for place, one in enumerate(items):
-        total = frames_of(store, one.take_id)
-        if not 0 <= one.start < one.stop <= total:
-            expected = f"0 <= start < stop <= {total}, the frames of the take"
-            raise ParameterError(f"interval {place + 1}", expected, (one.start, one.stop))
+    for number, one in enumerate(items, 1):
+        check_interval(store, one, f"interval {number}")
     found: list[bytes] = [b""] * len(items)
     for place, positions in cache.intervals(store, items):
         check_withdrawn()
         one = items[place]
-        step = -(-(one.stop - one.start) // frames)
+        step = -(-one.frames // frames)
         turned = facing_viewer(positions[::step], store.feature_set.joints)
         found[place] = packed(turned, store.rate_hz, one.start, step)
     parts = [struct.pack("<I", len(found))]
@@ -388,9 +354,10 @@ def _motion(archive: Archive, request: Request) -> Response:
     return StreamingResponse(blocks, media_type="application/octet-stream")
 
 
-def _figures(archive: Archive, asked: FiguresQuestion, _request: Request) -> Response:
-    items = [ShownFrames(one.take_id, one.start, one.stop) for one in asked.items]
-    return Response(figures(POSITIONS, archive.store(), items, asked.frames), media_type="application/octet-stream")
+def _figures(archive: Archive, asked: FiguresQuestion, _request: Request) -> bytes:
+    store = archive.store()
+    items = [Interval(name_of(store, one.take_id), one.start, one.stop) for one in asked.items]
+    return figures(POSITIONS, store, items, asked.frames)
 
 
 routes = [get("/api/takes/{take:int}/motion", _motion), post("/api/figures", _figures, FiguresQuestion)]

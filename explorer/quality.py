@@ -9,17 +9,15 @@ GET /api/excluded → {rows: [{source, file, line, error, message}], total, …}
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from typing import Any
+
+from starlette.requests import Request
 
 from kinedex.catalog.quality_figures import FIGURES
 from kinedex.explorer.addresses import get
+from kinedex.explorer.archive import Archive
 from kinedex.explorer.same import command_line, same_query
 from kinedex.explorer.selections import SQL_SECONDS
-
-if TYPE_CHECKING:
-    from starlette.requests import Request
-
-    from kinedex.explorer.archive import Archive
 
 ROWS = 2000
 """Maximum number of rows of one answer; `total` counts all."""

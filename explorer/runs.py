@@ -19,15 +19,17 @@ from __future__ import annotations
 import re
 from collections import defaultdict
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import Annotated, Any
 
 import yaml
 from pydantic import Field
+from starlette.requests import Request
 from starlette.responses import FileResponse
 
 from kinedex.catalog.configs import config_names, config_path, load_yaml, shipped_configs
 from kinedex.explorer.addresses import Question, get, post
 from kinedex.explorer.answers import NotFoundError
+from kinedex.explorer.archive import Archive
 from kinedex.explorer.jobs import Job, jobs_of, run_words
 from kinedex.explorer.same import command_line, same_query
 from kinedex.ops.errors import ConfigError, KinedexError
@@ -35,12 +37,6 @@ from kinedex.pipelines.engine.config import Pipeline, load_pipeline
 from kinedex.pipelines.engine.plan import Step, make_plan
 from kinedex.storage.snapshot.shown_results import pipeline_runs
 from kinedex.storage.store.history import PipelineRun, list_runs, refuse_damaged_report
-
-if TYPE_CHECKING:
-    from starlette.requests import Request
-
-    from kinedex.explorer.archive import Archive
-
 
 Row = dict[str, Any]
 

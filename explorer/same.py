@@ -4,10 +4,8 @@ from __future__ import annotations
 
 import shlex
 from pathlib import Path
-from typing import TYPE_CHECKING
 
-if TYPE_CHECKING:
-    from kinedex.explorer.archive import Archive
+from kinedex.explorer.archive import Archive
 
 
 def command_line(*words: str | Path) -> str:

@@ -12,7 +12,7 @@ import webbrowser
 from collections.abc import Callable
 from pathlib import Path
 from threading import Thread
-from typing import TYPE_CHECKING
+from types import FrameType
 
 import uvicorn
 
@@ -21,9 +21,6 @@ from kinedex.explorer.application import make_application, require_page
 from kinedex.explorer.archive import Archive
 from kinedex.explorer.jobs import end_jobs
 from kinedex.ops.errors import KinedexError
-
-if TYPE_CHECKING:
-    from types import FrameType
 
 PORT = 8734
 """The default port; if it is in use, a free one is taken."""

@@ -10,26 +10,23 @@
 
 from __future__ import annotations
 
-import threading
 import time
-from collections import OrderedDict
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import Annotated, Any
 
 import pyarrow as pa
 from pydantic import Field
+from starlette.requests import Request
 
 from kinedex.catalog.sql.views import VIEWS
 from kinedex.explorer.addresses import Question, get, post
-from kinedex.explorer.hits import MOST_HITS
+from kinedex.explorer.archive import Archive
+from kinedex.explorer.hits import MOST_HITS, shown_hits
 from kinedex.explorer.same import command_line, python_lines
+from kinedex.ops.cache import Cache
+from kinedex.ops.intervals import Hit, Interval
 from kinedex.storage.duck import sql_type
-
-if TYPE_CHECKING:
-    from starlette.requests import Request
-
-    from kinedex.explorer.archive import Archive
-    from kinedex.storage.sql.queries import Answer
-    from kinedex.storage.store.store import Store
+from kinedex.storage.sql.queries import Answer
+from kinedex.storage.store.store import Store
 
 MOST_ROWS = 100_000
 """Maximum number of rows of a result that are kept for scrolling."""
@@ -51,40 +48,21 @@ class SqlQuestion(Question):
     limit: Annotated[int, Field(ge=1, le=BLOCK)] = 200
 
 
-class Results:
-    """A cache of the results of the latest statements, bounded in memory; any thread may use it."""
-
-    def __init__(self, most_bytes: int = MOST_BYTES) -> None:
-        self._most_bytes = most_bytes
-        self._lock = threading.Lock()
-        self._held: OrderedDict[tuple[str, int, str], tuple[Answer, float]] = OrderedDict()
-
-    def find(self, store: Store, text: str, *, anew: bool) -> tuple[Answer, float]:
-        """Return the rows of a statement and its run time in seconds, cached unless `anew` is True."""
-        key = (str(store.path), store.manifest.version, text)
-        with self._lock:
-            if not anew and key in self._held:
-                self._held.move_to_end(key)
-                return self._held[key]
-        begin = time.perf_counter()
-        answer = store.answer(text, timeout=SECONDS, max_rows=MOST_ROWS)
-        found = (answer, time.perf_counter() - begin)
-        with self._lock:
-            self._held[key] = found
-            self._held.move_to_end(key)
-            while len(self._held) > 1 and sum(one.table.nbytes for one, _ in self._held.values()) > self._most_bytes:
-                self._held.popitem(last=False)
-        return found
-
-
-_RESULTS = Results()
+_RESULTS: Cache[tuple[str, int, str], tuple[Answer, float]] = Cache(MOST_BYTES, lambda one: one[0].table.nbytes)
+"""The results of the latest statements with their run times; offset 0 runs a statement anew."""
 
 
 def run_sql(archive: Archive, asked: SqlQuestion, _request: Request) -> dict[str, Any]:
     """Run a SQL statement, or use its cached result, and return a block of rows."""
     store = archive.store()
     # the first block runs the statement anew: labels and journals may have changed in the same version
-    answer, seconds = _RESULTS.find(store, asked.text, anew=asked.offset == 0)
+    key = (str(store.path), store.manifest.version, asked.text)
+    found = _RESULTS.get(key) if asked.offset else None
+    if found is None:
+        begin = time.perf_counter()
+        made = store.answer(asked.text, timeout=SECONDS, max_rows=MOST_ROWS)
+        found = _RESULTS.put(key, (made, time.perf_counter() - begin))
+    answer, seconds = found
     table = answer.table
     block = table.slice(asked.offset, asked.limit)
     lists = [column.to_pylist() for column in block.columns]
@@ -118,9 +96,9 @@ def hits_of(store: Store, table: pa.Table) -> list[dict[str, Any]] | None:
     columns = set(table.column_names)
     if not {"start", "stop"} <= columns or not {"take", "take_id"} & columns or len(columns) < table.num_columns:
         return None
-    names = {take_id: name for name, take_id in store.take_ids.items()}
+    names = store.take_names
     wanted = [name for name in ("take", "take_id", "start", "stop", "cost", "mirrored", "class") if name in columns]
-    found: list[dict[str, Any]] = []
+    found: list[Hit] = []
     for row in table.select(wanted).slice(0, 4 * MOST_HITS).to_pylist():
         take_id = row.get("take_id", store.take_ids.get(row.get("take")))
         start, stop = row["start"], row["stop"]
@@ -129,18 +107,10 @@ def hits_of(store: Store, table: pa.Table) -> list[dict[str, Any]] | None:
         if not 0 <= start < stop <= store.take_frames[take_id]:
             continue
         cost = row.get("cost")
-        found.append(
-            {
-                "take_id": take_id,
-                "take": names[take_id],
-                "start": start,
-                "stop": stop,
-                "cost": float(cost) if isinstance(cost, int | float) else None,
-                "mirrored": row.get("mirrored") is True,
-                "name": str(row.get("class") or "sql"),
-            }
-        )
-    return found[:MOST_HITS]
+        known = float(cost) if isinstance(cost, int | float) else None
+        where = Interval(names[take_id], start, stop)
+        found.append(Hit(where, str(row.get("class") or "sql"), known, row.get("mirrored") is True))
+    return shown_hits(store, found[:MOST_HITS])
 
 
 def list_views(archive: Archive, _request: Request) -> dict[str, Any]:

@@ -7,19 +7,17 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from typing import Any
+
+import pyarrow as pa
+from starlette.requests import Request
 
 from kinedex.explorer.addresses import get
+from kinedex.explorer.archive import Archive
 from kinedex.explorer.same import command_line, python_lines
 from kinedex.ops.body.joint_tree import JOINT_PARENTS
 from kinedex.storage.duck import sql_type
-
-if TYPE_CHECKING:
-    import pyarrow as pa
-    from starlette.requests import Request
-
-    from kinedex.explorer.archive import Archive
-    from kinedex.storage.store.store import Store
+from kinedex.storage.store.store import Store
 
 
 def describe(archive: Archive, _request: Request) -> dict[str, Any]:

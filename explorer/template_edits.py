@@ -11,28 +11,24 @@ import json
 import re
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from typing import Annotated, Any, Literal
 
 import numpy as np
 from pydantic import Field
+from starlette.requests import Request
 
 from kinedex.catalog.configs import config_path
 from kinedex.catalog.template_files import NamedTemplate, write_yaml
 from kinedex.explorer.addresses import Question, post
+from kinedex.explorer.archive import Archive
 from kinedex.explorer.same import command_line, python_lines
-from kinedex.explorer.template_use import TemplateUse, template_use
-from kinedex.explorer.templates import named
+from kinedex.explorer.templates import TemplateUse, named, template_use
 from kinedex.ops.errors import ConfigError
 from kinedex.ops.templates.derived_templates import adjusted
 from kinedex.ops.templates.templates import Kind
 from kinedex.pipelines.templates.learning import SubclassTemplate
-from kinedex.pipelines.templates.recipes import feature_weights
+from kinedex.pipelines.templates.training import feature_weights
 from kinedex.storage.store.store import Store
-
-if TYPE_CHECKING:
-    from starlette.requests import Request
-
-    from kinedex.explorer.archive import Archive
 
 Factor = Annotated[float, Field(ge=0, le=1000)]
 
@@ -62,21 +58,13 @@ class Edit:
         The template.
     template : bool
         True where it differs from the learned one.
-    pipeline_tau : float
-        The threshold of the pipeline.
-    asked_tau : float, optional
-        The threshold of the request.
+    tau : float
+        The threshold of the request if it has one, else that of the pipeline.
     """
 
     one: SubclassTemplate
     template: bool
-    pipeline_tau: float
-    asked_tau: float | None
-
-    @property
-    def tau(self) -> float:
-        """The threshold of the request if it has one, else that of the pipeline."""
-        return self.pipeline_tau if self.asked_tau is None else self.asked_tau
+    tau: float
 
 
 def edited_template(store: Store, one: SubclassTemplate, asked: EditQuestion) -> SubclassTemplate:

@@ -20,30 +20,34 @@
 from __future__ import annotations
 
 import base64
-from typing import TYPE_CHECKING, Any
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
+from pydantic import ValidationError
+from starlette.requests import Request
 
+from kinedex.catalog.classes import OWN, Classes
 from kinedex.explorer.addresses import get
 from kinedex.explorer.answers import NotFoundError
+from kinedex.explorer.archive import Archive
 from kinedex.explorer.curves import kind_of
 from kinedex.explorer.same import command_line, python_lines
-from kinedex.explorer.template_use import TemplateUse, learning_stages, template_use
-from kinedex.ops.errors import ParameterError
+from kinedex.ops.errors import KinedexError, ParameterError
+from kinedex.ops.intervals import in_seconds, shown_seconds
 from kinedex.ops.templates.derived_templates import Contrast, consistency, contrast
-from kinedex.ops.templates.templates import Template, quantise
+from kinedex.ops.templates.templates import Kind, Template, quantise
 from kinedex.ops.wording import counted
+from kinedex.pipelines.annotation.parameters import DEFAULT_TAU, AnnotationParameters
+from kinedex.pipelines.annotation.preparation import annotation_classes
 from kinedex.pipelines.templates.clip_checks import far_limit
-from kinedex.pipelines.templates.learning import SubclassTemplate
 from kinedex.pipelines.templates.stored_clips import StoredClip, poses_of_columns, stored_clips, template_costs
+from kinedex.pipelines.templates.stored_templates import SubclassTemplate, template_of
 from kinedex.pipelines.templates.template_text import contrast_lines, heading
+from kinedex.storage.snapshot.shown_results import all_parts, pipeline_of, shown_parts
 from kinedex.storage.store.store import Store
-
-if TYPE_CHECKING:
-    from starlette.requests import Request
-
-    from kinedex.explorer.archive import Archive
 
 Row = dict[str, Any]
 
@@ -94,7 +98,7 @@ def _list_row(store: Store, use: TemplateUse, one: SubclassTemplate) -> Row:
         "name": one.subclass,
         "class": label,
         "columns": len(template),
-        "seconds": len(template) / store.rate_hz,
+        "seconds": in_seconds(len(template), store.rate_hz),
         "clips": len(one.clips),
         "wildcards": 1 - quantise(template, use.params.delta).fixed / template.values.shape[1],
         "origin": one.origin,
@@ -126,7 +130,7 @@ def describe_template(archive: Archive, request: Request) -> Row:
         "kind": use.kind,
         "stage": use.stage,
         "columns": len(template),
-        "seconds": len(template) / store.rate_hz,
+        "seconds": in_seconds(len(template), store.rate_hz),
         "values": np.round(template.values.T, 3).tolist(),
         "weights": None if template.feature_weights is None else template.feature_weights.tolist(),
         "consistency": np.round(consistency(template), 3).tolist(),
@@ -147,9 +151,10 @@ def describe_template(archive: Archive, request: Request) -> Row:
 
 def named(use: TemplateUse, name: str) -> SubclassTemplate:
     """Return the template of a name; a NotFoundError where the stage has none."""
-    if all(one.subclass != name for one in use.templates):
-        raise NotFoundError(f"stage {use.stage} has no {use.kind} template of '{name}'; it may have been learned again")
-    return use.template(name)
+    for one in use.templates:
+        if one.subclass == name:
+            return one
+    raise NotFoundError(f"stage {use.stage} has no {use.kind} template of '{name}'; it may have been learned again")
 
 
 def clip_rows(store: Store, use: TemplateUse, one: SubclassTemplate) -> list[Row]:
@@ -256,10 +261,11 @@ def _in_words(what: str, names: tuple[str, str], shares: list[float], found: Con
     for side, sign in enumerate((1, -1)):
         chosen = found.path[found.against[:, bit] == sign]
         if len(chosen):
-            start, stop = chosen[:, side].min() / rate_hz, (chosen[:, side].max() + 1) / rate_hz
+            ends = (int(chosen[:, side].min()), int(chosen[:, side].max()) + 1)
+            start, stop = (shown_seconds(end, rate_hz) for end in ends)
             parts.append(
                 f"on in {names[side]} and off in {names[1 - side]} in {counted(len(chosen), 'column')} "
-                f"from {start:.2f} to {stop:.2f} s of {names[side]}"
+                f"from {start} to {stop} s of {names[side]}"
             )
     text = "; ".join(parts) or f"on for {shares[0]:.0%} of {names[0]}, for {shares[1]:.0%} of {names[1]}"
     return f"{what}: {text}"
@@ -270,3 +276,144 @@ routes = [
     get("/api/templates/one", describe_template),
     get("/api/templates/difference", describe_difference),
 ]
+
+
+@dataclass(frozen=True)
+class TemplateUse:
+    """The templates of a stage, and how its pipeline annotates with them.
+
+    Attributes
+    ----------
+    stage : str
+        The stage that learned the templates, "<pipeline>/<stage>".
+    kind : {"soft", "hard"}
+        The kind of the templates.
+    templates : tuple of SubclassTemplate
+        The templates of this kind, sorted by name.
+    classes : Classes
+        The classes that the pipeline annotates with; every template is a class of its own where it does not annotate.
+    params : AnnotationParameters
+        The parameters of its annotation; the defaults if it does not annotate.
+    thresholds : dict of str to float
+        τ of every class, whether set or calibrated.
+    annotate, evaluate : str, optional
+        The stages that annotate with these templates, and that have compared that with ground truth.
+    keyframes : str, optional
+        The stage that has learned keyframe queries for the annotation.
+    remarks : tuple of str
+        What could not be read.
+    """
+
+    stage: str
+    kind: Kind
+    templates: tuple[SubclassTemplate, ...]
+    classes: Classes
+    params: AnnotationParameters
+    thresholds: dict[str, float]
+    annotate: str | None
+    evaluate: str | None
+    keyframes: str | None = None
+    remarks: tuple[str, ...] = ()
+
+    @property
+    def uses_thresholds(self) -> bool:
+        """True where the pipeline's annotations depend on τ."""
+        return self.params.annotation_method.uses_thresholds
+
+    def class_of(self, name: str) -> str:
+        """Return the class of a template, or the template's own name if the classes of the pipeline exclude it."""
+        return self.classes.of_subclass().get(name, name)
+
+    def class_templates(self, label: str) -> list[SubclassTemplate]:
+        """Return the templates of a class."""
+        return [one for one in self.templates if self.class_of(one.subclass) == label]
+
+    def tau(self, label: str) -> float:
+        """Return the threshold of a class."""
+        return self.thresholds.get(label, self.params.common_tau)
+
+
+def learning_stages(store: Store, kind: str) -> list[str]:
+    """Return the stages with results of a kind, "templates" or "queries": those of the shown pipeline first."""
+    shown = {part.stage for part in shown_parts(store.manifest, kind)}
+    every = {part.stage for part in all_parts(store.manifest, kind)}
+    return sorted(every, key=lambda stage: (stage not in shown, stage))
+
+
+def template_use(store: Store, stage: str, kind: Kind | None = None) -> TemplateUse:
+    """Return the templates of a stage, and how its pipeline annotates with them.
+
+    Parameters
+    ----------
+    store : Store
+        The store.
+    stage : str
+        The stage, "<pipeline>/<stage>".
+    kind : {"soft", "hard"}, optional
+        The kind of templates; by default the one that the pipeline annotates with, or the only one.
+
+    Raises
+    ------
+    KinedexError
+        The stage has no templates, or none of this kind.
+    """
+    rows = store.result("templates", stage=stage).to_pylist()
+    if not rows:
+        raise KinedexError(f"{store.path} has no templates of a stage '{stage}'")
+    annotate = _reader(store, stage, "annotate", "templates")
+    params, remarks = _parameters(store, annotate)
+    has = {row["kind"] for row in rows}
+    chosen: Kind = kind or (params.templates if params.templates in has else "soft" if "soft" in has else "hard")
+    templates = tuple(sorted((template_of(row) for row in rows if row["kind"] == chosen), key=lambda one: one.subclass))
+    if not templates:
+        raise KinedexError(f"stage {stage} has no {chosen} templates (it has: {', '.join(sorted(has))})")
+    classes, more = _classes(store, params, templates)
+    thresholds = dict(params.tau_by_class)
+    if annotate is not None:
+        thresholds |= store.manifest.stages[annotate].summary.get("tau_by_class") or {}
+    evaluate = None if annotate is None else _reader(store, annotate, "evaluate", "annotations")
+    if evaluate is not None and not store.manifest.stages[evaluate].summary.get("evaluated_takes"):
+        evaluate = None
+    name = None if annotate is None else (store.manifest.stages[annotate].summary.get("inputs") or {}).get("keyframes")
+    keyframes = None if name is None else f"{pipeline_of(annotate)}/{name}"
+    remarks = [*remarks, *more]
+    return TemplateUse(
+        stage, chosen, templates, classes, params, thresholds, annotate, evaluate, keyframes, tuple(remarks)
+    )
+
+
+def _reader(store: Store, stage: str, uses: str, role: str) -> str | None:
+    """Return the last-run stage of kind `uses` whose input `role` is a stage of the same pipeline, or None."""
+    pipeline, _, name = stage.partition("/")
+    found = [
+        record
+        for key, record in store.manifest.stages.items()
+        if pipeline_of(key) == pipeline
+        and record.summary.get("uses") == uses
+        and (record.summary.get("inputs") or {}).get(role) == name
+    ]
+    return max(found, key=lambda one: one.finished).stage if found else None
+
+
+def _parameters(store: Store, annotate: str | None) -> tuple[AnnotationParameters, list[str]]:
+    """Return the parameters of an annotation, the defaults if they cannot be read, and remarks."""
+    usual = AnnotationParameters.model_validate({})
+    if annotate is None:
+        return usual, []
+    try:
+        return AnnotationParameters.model_validate(store.manifest.stages[annotate].summary.get("params") or {}), []
+    except ValidationError:
+        return usual, [
+            f"the parameters of {annotate} are those of another version of kinedex; here δ = {usual.delta:g}, "
+            f"τ = {DEFAULT_TAU:g}, and every template is a class of its own"
+        ]
+
+
+def _classes(
+    store: Store, params: AnnotationParameters, templates: Sequence[SubclassTemplate]
+) -> tuple[Classes, list[str]]:
+    try:
+        return annotation_classes(store, params.classes, templates), []
+    except KinedexError as fault:
+        text = f"every template is a class of its own here, as the class file cannot be read: {fault}"
+        return annotation_classes(store, OWN, templates), [text]

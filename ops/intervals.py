@@ -1,4 +1,4 @@
-"""An interval is a range of frames of a take, a segment an interval with a class; both count frames of the analysis.
+"""An interval is a range of frames of a take, a hit one that was found, a segment one with a class.
 
 A frame begins at frame / rate seconds, so frame 0 begins at 0. Stored and computed seconds are never rounded. Shown
 ones are rounded to hundredths, and times that somebody enters to the nearest frame, halves upwards in both.
@@ -37,6 +37,27 @@ class Interval(NamedTuple):
     def overlaps(self, other: Interval) -> bool:
         """Return whether both have a frame in common."""
         return self.take == other.take and self.start < other.stop and other.start < self.stop
+
+
+class Hit(NamedTuple):
+    """An interval that a template or a query has found, or that a person has chosen of those found.
+
+    Parameters
+    ----------
+    interval : Interval
+        The frames of the take.
+    name : str
+        The template or the query.
+    cost : float, optional
+        The distance from the template; None for a query, which has no distances.
+    mirrored : bool
+        True if the mirror image of the template is what fits.
+    """
+
+    interval: Interval
+    name: str = ""
+    cost: float | None = None
+    mirrored: bool = False
 
 
 @dataclass(frozen=True)

@@ -50,7 +50,7 @@ def with_hits(
     found = motions.with_pieces(store, ((hit.take, hit.start, hit.stop) for hit in hits))
     further = others[:MOST_PIECES]
     found = found.with_pieces(store, ((one.take, one.start, one.stop) for one in further), most=MOST_BYTES)
-    played = {hit.key: hit for hit in (*hits, *others) if found.has(hit.take, hit.start, hit.stop)}
-    near = nearest_examples(store, list(played.values()), templates, progress)
+    played = {hit.key: hit.subclass for hit in (*hits, *others) if found.has(hit.take, hit.start, hit.stop)}
+    near = nearest_examples(store, played, templates, progress)
     found = found.with_near(store, [(one.take, one.start, one.stop, one.frames) for one in near.values()])
     return found, {key: place for place, key in enumerate(near)}

@@ -16,7 +16,7 @@ from kinedex.ops.keyframes.individuals import Individual
 from kinedex.ops.keyframes.training_task import HISTORY_COLUMNS, LearningRun
 from kinedex.ops.words import bits
 from kinedex.pipelines.keyframes.learning import Learner, Outcome, every_query, keyframe_queries
-from kinedex.pipelines.keyframes.tables import sentence
+from kinedex.pipelines.keyframes.stored_queries import sentence
 from kinedex.reports.axes import time_axis
 from kinedex.reports.page_environment import page_environment
 from kinedex.reports.plots import HistogramBar, histogram, line_path, share_ticks

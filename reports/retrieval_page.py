@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from kinedex.pipelines.ranking.stiffness import EVERYWHERE, WRITTEN
+from kinedex.pipelines.ranking.ranking_evaluation import EVERYWHERE, WRITTEN
 from kinedex.reports.page_environment import page_environment
 from kinedex.reports.plots import line_path, share_ticks
 

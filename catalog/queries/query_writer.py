@@ -88,13 +88,18 @@ def _keyframe_text(parts: list[Keyframe], feature_set: FeatureSet) -> str:
     named = f"name: {scalar(parts[0].name)}, " if parts[0].name else ""
     if not parts[0].mask:
         return f'{{{named}set: {scalar(parts[0].set)}, pattern: "{pattern_of(parts[0], feature_set)}"}}'
-    on: list[str] = []
-    off: list[str] = []
-    for part in parts:
-        for names, more in zip((on, off), features_of(part, feature_set), strict=True):
-            names += [scalar(name) for name in more]
-    switches = [f"{word}: [{', '.join(names)}]" for word, names in (("on", on), ("off", off)) if names]
-    return "{" + named + ", ".join(switches) + "}"
+    sides = list(zip(*(features_of(part, feature_set) for part in parts), strict=True))
+    on, off = ([name for names in side for name in names] for side in sides)
+    return f"{{{named}{pose_text(on, off, feature_set)}}}"
+
+
+def pose_text(on: Iterable[str], off: Iterable[str], feature_set: FeatureSet) -> str:
+    """Return the features of a pose that are on and off as query files have them; without any, a set of wildcards."""
+    names = {"on": list(map(scalar, on)), "off": list(map(scalar, off))}
+    if not any(names.values()):
+        anything = next(iter(feature_set.sets.values()))
+        return f'set: {anything.name}, pattern: "{"*" * anything.count}"'
+    return ", ".join(f"{word}: [{', '.join(those)}]" for word, those in names.items() if those)
 
 
 def _gap_text(gap: Gap) -> str:

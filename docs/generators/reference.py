@@ -24,7 +24,7 @@ from kinedex.pipelines.engine.config import load_pipeline
 from kinedex.pipelines.engine.stage import BUILT_IN, load_stage
 from kinedex.pipelines.evaluation.scheme import Method, Split
 from kinedex.pipelines.ranking.ranking_evaluation import Fold
-from kinedex.pipelines.templates.recipes import Combination
+from kinedex.pipelines.templates.training import Combination
 
 INTRODUCTION = """\
 # Reference

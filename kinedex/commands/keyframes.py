@@ -88,7 +88,7 @@ def show(
     """
     from kinedex.console.tables import Shown, wrapped
     from kinedex.console.terminal import make_console
-    from kinedex.pipelines.keyframes.tables import LEGEND, overview
+    from kinedex.pipelines.keyframes.stored_queries import LEGEND, overview
 
     opened = open_for_reading(store, at)
     found = _stored(opened, name, pipeline)

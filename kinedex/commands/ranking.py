@@ -84,7 +84,7 @@ def rank(
 ) -> None:
     """Rank the places of an archive by how well templates fit."""
     from kinedex.commands.templates import kind_of
-    from kinedex.pipelines.ranking.store_ranking import rank_store
+    from kinedex.pipelines.ranking.store_ranking import RankingQuestion, rank_store
     from kinedex.pipelines.templates.stored_templates import template_from_clip
 
     names = list(dict.fromkeys(templates or ()))
@@ -94,10 +94,8 @@ def rank(
     asked = None if queries is None else _read_queries(queries, opened)
     chosen = None if every else names if take is None else [template_from_clip(opened, take, start, stop)]
     begin = time.perf_counter()
-    found = rank_store(
-        opened, chosen, queries=asked, kind=kind_of(kind), stage=stage, delta=delta, tau=tau, top=top, where=where,
-        workers=workers, mirror=mirror, nearest=min(top, NEAREST),
-    )  # fmt: skip
+    question = RankingQuestion(delta, tau, top, where, mirror, min(top, NEAREST), workers)
+    found = rank_store(opened, chosen, question, queries=asked, kind=kind_of(kind), stage=stage)
     seconds = time.perf_counter() - begin
     pages.write_ranking(opened, found, _interval(opened, take, start, stop), tau, kind, stage)
     if as_json:
@@ -165,8 +163,8 @@ def _summary(rankings: Sequence[Ranking], tau: float, top: int, preselected: boo
 
     kept = sum(one.searched for one in rankings) / max(sum(one.frames for one in rankings), 1)
     shares = [one.skipped for one in rankings if one.skipped is not None]
-    limited = any(len(one.hits) == top for one in rankings)
-    hits = counted(sum(len(one.hits) for one in rankings), "best hit" if limited else "hit")
+    limited = any(len(one) == top for one in rankings)
+    hits = counted(sum(len(one) for one in rankings), "best hit" if limited else "hit")
     return (
         f"{hits} below {tau:g}"
         + (f", as --top {top} asks for" if limited else "")

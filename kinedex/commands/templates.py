@@ -91,8 +91,7 @@ def show(
     """
     from kinedex.catalog.template_files import NamedTemplate
     from kinedex.console.terminal import make_console
-    from kinedex.pipelines.templates.stored_templates import choose_template
-    from kinedex.pipelines.templates.template_output import write_template
+    from kinedex.pipelines.templates.stored_templates import choose_template, write_template
     from kinedex.pipelines.templates.template_text import heading, template_lines
     from kinedex.reports.matrix_figures import write_figure
     from kinedex.reports.template_figures import template_figure
@@ -181,8 +180,7 @@ def from_clip(
 ) -> None:
     """Make a template from one example: a take or an interval of it. `learn_templates.template_files` reads it."""
     from kinedex.catalog.template_files import write_yaml
-    from kinedex.pipelines.templates.stored_templates import template_from_clip
-    from kinedex.pipelines.templates.template_output import write_template
+    from kinedex.pipelines.templates.stored_templates import template_from_clip, write_template
 
     opened = open_for_reading(store, at)
     made = template_from_clip(opened, take, start, stop, name or take)

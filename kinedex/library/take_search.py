@@ -108,14 +108,13 @@ class TakeSearch(TakeCollection):
         if unit not in ("takes", "windows"):
             raise ParameterError("unit", "'takes' or 'windows'", unit)
         found = archive_map(self.stored, unit)
-        names = {take_id: name for name, take_id in self.stored.take_ids.items()}
         descriptions = [feature.description for feature in self.feature_set.features]
         texts = [trait_words(one.traits, descriptions) for one in found.clusters]
         clusters = [None if number < 0 else number for number in found.numbers.tolist()]
         return pl.DataFrame(
             {
                 "take_id": found.take_ids,
-                "take": [names[take_id] for take_id in found.take_ids.tolist()],
+                "take": [self.stored.take_names[take_id] for take_id in found.take_ids.tolist()],
                 "start": found.starts,
                 "stop": found.stops,
                 "x": found.places[:, 0],
@@ -253,7 +252,7 @@ class TakeSearch(TakeCollection):
         """
         from kinedex.library.query import resolved_queries
         from kinedex.library.template import Template
-        from kinedex.pipelines.ranking.store_ranking import rank_store
+        from kinedex.pipelines.ranking.store_ranking import RankingQuestion, rank_store
 
         if top is not None and top < 1:
             raise ParameterError("top", "at least 1, or None", top)
@@ -263,14 +262,8 @@ class TakeSearch(TakeCollection):
         found = rank_store(
             self.stored,
             [one.named if isinstance(one, Template) else one for one in wanted],
+            RankingQuestion(delta, tau, top, where, mirror, nearest=1, workers=workers),
             queries=None if queries is None else resolved_queries(queries, self.feature_set, self.rate_hz),
-            delta=delta,
-            tau=tau,
-            top=top,
-            where=where,
-            workers=workers,
-            mirror=mirror,
-            nearest=1,
         )
         for remark in (*found.remarks, *found.misses(tau, "tau=")):
             warnings.warn(remark, stacklevel=2)

@@ -14,10 +14,17 @@ from kinedex.catalog.template_files import NamedTemplate, read_templates
 from kinedex.library.arguments import checked_methods
 from kinedex.library.take import ANALYSIS_RATE_HZ, FEATURES, Take
 from kinedex.ops.errors import KinedexError, did_you_mean
+from kinedex.ops.intervals import in_seconds
 from kinedex.ops.templates.derived_templates import Contrast, contrast
-from kinedex.ops.templates.templates import Kind, Learned
+from kinedex.ops.templates.templates import Kind
 from kinedex.ops.words import ALL_KNOWN, U64
-from kinedex.pipelines.templates.learning import SubclassTemplate, learned_of, learned_template, usable_clips
+from kinedex.pipelines.templates.learning import (
+    SubclassTemplate,
+    as_subclass_template,
+    learned_of,
+    learned_template,
+    usable_clips,
+)
 from kinedex.pipelines.templates.template_text import contrast_lines, heading
 
 if TYPE_CHECKING:
@@ -125,7 +132,7 @@ class Template:
         >>> template.clips == tuple(sorted(clip.name for clip in clips))
         True
         """
-        from kinedex.pipelines.templates.recipes import feature_weights
+        from kinedex.pipelines.templates.training import feature_weights
 
         every = list(takes)
         if not every:
@@ -179,7 +186,7 @@ class Template:
         features = len(take.feature_set.features)
         made = template_of_frames(take.words(), take.name, first, last, features, name or take.name, take.known)
         example = {take[first:last].label: take.words()[first:last]}
-        return cls(_unlearned(made, made.description), take.feature_set, take.rate_hz, lambda: example)
+        return cls(as_subclass_template(made, origin=made.description), take.feature_set, take.rate_hz, lambda: example)
 
     @classmethod
     def load(cls, path: str | Path, name: str | None = None, *, feature_set: str | Path = FEATURES) -> Template:
@@ -218,7 +225,7 @@ class Template:
             raise KinedexError(f"{path} holds {len(found)} templates; pass `name`: {', '.join(found)}")
         if name is not None and name not in found:
             raise KinedexError(f"{path} has no template '{name}'{did_you_mean(name, found)}")
-        return cls(_unlearned(found[name or next(iter(found))], f"from {Path(path).name}"), features)
+        return cls(as_subclass_template(found[name or next(iter(found))], origin=f"from {Path(path).name}"), features)
 
     def save(self, path: str | Path) -> None:
         """Write the template to a file that people can edit.
@@ -238,7 +245,7 @@ class Template:
         --------
         >>> template.save(folder / "squat.yaml")
         """
-        from kinedex.pipelines.templates.template_output import write_template
+        from kinedex.pipelines.templates.stored_templates import write_template
 
         write_template(self.named, self.feature_set, Path(path))
 
@@ -384,7 +391,7 @@ class Difference:
                 path = self._found.path[self._found.against[:, index] == sign]
                 if len(path):
                     spans = [(path[:, side].min(), path[:, side].max() + 1) for side in (on, 1 - on)]
-                    times = [float(end) / self._first.rate_hz for span in spans for end in span]
+                    times = [in_seconds(float(end), self._first.rate_hz) for span in spans for end in span]
                     rows.append((feature.name, self.names[on], self.names[1 - on], len(path), *times))
         times_of = {f"{side}_{end}_seconds": pl.Float64 for side in ("on", "off") for end in ("start", "stop")}
         schema = {"feature": pl.String, "on_in": pl.String, "off_in": pl.String, "columns": pl.Int64, **times_of}
@@ -410,11 +417,6 @@ class Difference:
         note = str(self).splitlines()[0]
         features, rate_hz = self._first.feature_set, self._first.rate_hz
         return Picture(contrast_figure(one, other, self.names, self._found, self._delta, note, features, rate_hz))
-
-
-def _unlearned(made: NamedTemplate, origin: str) -> SubclassTemplate:
-    """Wrap a template that was not learned in a `SubclassTemplate` without clips, with its origin."""
-    return SubclassTemplate(made.name, "soft", Learned(made.template, 0, ()), (), origin)
 
 
 def _common_features(takes: list[Take]) -> FeatureSet:

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from kinedex.ops.arrays import F64, I64, Bool
-from kinedex.ops.priors.hits import Hit
+from kinedex.ops.priors.hits import MotionHit
 from kinedex.ops.priors.motion import Motion
 
 LEAST_QUALITY = 0.1
@@ -24,7 +24,7 @@ class Allocation:
 
     Attributes
     ----------
-    hits : tuple of Hit
+    hits : tuple of MotionHit
         The hits, in frames of the recording.
     owners : int64 array (T,)
         The hit of lowest cost that covers each frame, −1 for none.
@@ -36,7 +36,7 @@ class Allocation:
         The frame whose pose serves as a prior for each frame, −1 for none.
     """
 
-    hits: tuple[Hit, ...]
+    hits: tuple[MotionHit, ...]
     owners: I64
     columns: I64
     qualities: F64
@@ -47,12 +47,12 @@ class Allocation:
         return np.flatnonzero(self.owners == hit)
 
 
-def allocate(hits: Sequence[Hit], frames: int, threshold: float) -> Allocation:
+def allocate(hits: Sequence[MotionHit], frames: int, threshold: float) -> Allocation:
     """Assign to each frame the hit of lowest cost that covers it, and the frame whose pose is its prior.
 
     Parameters
     ----------
-    hits : sequence of Hit
+    hits : sequence of MotionHit
         The hits; ties go to the first.
     frames : int
         The number of frames T.
@@ -80,7 +80,7 @@ def allocate(hits: Sequence[Hit], frames: int, threshold: float) -> Allocation:
     return Allocation(tuple(hits), owners, columns, qualities, lenders)
 
 
-def _source(hits: Sequence[Hit], place: int) -> int:
+def _source(hits: Sequence[MotionHit], place: int) -> int:
     """Return the cheapest hit of the same motion that costs less and does not overlap, −1 if there is none."""
     hit, best = hits[place], -1
     for other, lender in enumerate(hits):
@@ -92,7 +92,7 @@ def _source(hits: Sequence[Hit], place: int) -> int:
     return best
 
 
-def _lenders(hit: Hit, source: Hit) -> I64:
+def _lenders(hit: MotionHit, source: MotionHit) -> I64:
     """Return for each frame of a hit the frame of another hit with the nearest column; ties go to the earliest."""
     apart = np.abs(np.rint(source.columns)[None, :] - np.rint(hit.columns)[:, None])
     return source.start + apart.argmin(axis=1)

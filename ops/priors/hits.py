@@ -17,7 +17,7 @@ from kinedex.ops.words import U64
 
 
 @dataclass(frozen=True, eq=False)
-class Hit:
+class MotionHit:
     """An essential minimum of distance curves, with its warping path.
 
     Attributes
@@ -39,7 +39,9 @@ class Hit:
     columns: F64
 
 
-def find_hits(templates: Sequence[QuantisedTemplate], words: U64, threshold: float) -> tuple[list[Hit], list[Hit]]:
+def find_hits(
+    templates: Sequence[QuantisedTemplate], words: U64, threshold: float
+) -> tuple[list[MotionHit], list[MotionHit]]:
     """Find the intervals of a take that resemble motions (thesis, Eq. 6.5 and 6.6, Section 6.4.1).
 
     Candidates are the local minima of a distance curve below the threshold, plateau frames included. They are reduced
@@ -56,9 +58,9 @@ def find_hits(templates: Sequence[QuantisedTemplate], words: U64, threshold: flo
 
     Returns
     -------
-    hits : list of Hit
+    hits : list of MotionHit
         The essential minima of Δ^min, the cheapest first.
-    alternatives : list of Hit
+    alternatives : list of MotionHit
         The essential minima of single curves that are not hits, the cheapest first: other motions for the same frames.
 
     Raises
@@ -82,26 +84,26 @@ def find_hits(templates: Sequence[QuantisedTemplate], words: U64, threshold: flo
     return best, sorted(others, key=lambda hit: (hit.cost, hit.stop, hit.motion))
 
 
-def _candidates(template: QuantisedTemplate, words: U64, motion: int, curve: F64, ends: I64) -> list[Hit]:
+def _candidates(template: QuantisedTemplate, words: U64, motion: int, curve: F64, ends: I64) -> list[MotionHit]:
     """Return the minima of one curve with their paths."""
     return [
-        Hit(motion, path.start, end + 1, float(curve[end]), path.columns)
+        MotionHit(motion, path.start, end + 1, float(curve[end]), path.columns)
         for end, path in zip(ends.tolist(), curve_paths(template, words, ends), strict=True)
     ]
 
 
-def _essential(hits: Sequence[Hit]) -> list[Hit]:
+def _essential(hits: Sequence[MotionHit]) -> list[MotionHit]:
     """Return the hits that have no cheaper hit close by, the cheapest first."""
     starts, ends = (np.array(column, np.int64) for column in ([h.start for h in hits], [h.stop - 1 for h in hits]))
     return [hits[place] for place in essential_minima(starts, ends, np.array([hit.cost for hit in hits])).tolist()]
 
 
-def at_rate(hits: Sequence[Hit], words_rate_hz: float, rate_hz: float, frames: int) -> list[Hit]:
+def at_rate(hits: Sequence[MotionHit], words_rate_hz: float, rate_hz: float, frames: int) -> list[MotionHit]:
     """Return hits in frames of a recording whose words have another rate; columns are interpolated.
 
     Parameters
     ----------
-    hits : sequence of Hit
+    hits : sequence of MotionHit
         Hits in frames of the words.
     words_rate_hz, rate_hz : float
         Frames per second of the words and of the recording; frame 0 of both is the same moment.
@@ -110,7 +112,7 @@ def at_rate(hits: Sequence[Hit], words_rate_hz: float, rate_hz: float, frames: i
 
     Returns
     -------
-    list of Hit
+    list of MotionHit
         The same hits in the same order; a hit covers the recorded frames from its first to its last frame.
     """
     step = words_rate_hz / rate_hz
@@ -121,16 +123,16 @@ def at_rate(hits: Sequence[Hit], words_rate_hz: float, rate_hz: float, frames: i
         if last < first:  # a recording slower than its words may have no frame within a short hit
             first = last = min(first, frames - 1)
         columns = np.interp(np.arange(first, last + 1) * step, np.arange(hit.start, hit.stop), hit.columns)
-        found.append(Hit(hit.motion, first, last + 1, hit.cost, columns))
+        found.append(MotionHit(hit.motion, first, last + 1, hit.cost, columns))
     return found
 
 
-def cut_to(hits: Sequence[Hit], frames: I64, least: float) -> list[Hit]:
+def cut_to(hits: Sequence[MotionHit], frames: I64, least: float) -> list[MotionHit]:
     """Return the parts of hits that lie in the given frames.
 
     Parameters
     ----------
-    hits : sequence of Hit
+    hits : sequence of MotionHit
         Hits.
     frames : int64 array (F,)
         Ascending frames.
@@ -139,7 +141,7 @@ def cut_to(hits: Sequence[Hit], frames: I64, least: float) -> list[Hit]:
 
     Returns
     -------
-    list of Hit
+    list of MotionHit
         The parts in order of the hits, each with the columns of its frames.
     """
     runs = np.split(frames, np.flatnonzero(np.diff(frames) != 1) + 1) if len(frames) else []

@@ -15,7 +15,7 @@ from kinedex.ops.priors.allocation import ARCHIVE, POSE, PriorRow, allocate, pri
 from kinedex.ops.priors.archive_poses import relative_turns
 from kinedex.ops.priors.constraints import CONSTRAINTS
 from kinedex.ops.priors.guard import GUARD, LOCAL_GUARD, LOCAL_S, allowed_ratios, cost_ratios, refuted_frames
-from kinedex.ops.priors.hits import Hit, at_rate, cut_to, find_hits
+from kinedex.ops.priors.hits import MotionHit, at_rate, cut_to, find_hits
 from kinedex.ops.priors.motion import Motion
 from kinedex.ops.priors.terms import TrackState, make_terms
 from kinedex.ops.tracking.prior_terms import PriorTerms
@@ -273,7 +273,9 @@ def _round(
     raise AssertionError("the last attempt returns")
 
 
-def _cut(hits: Sequence[Hit], numbers: Sequence[int], frames: I64, least: float) -> tuple[list[Hit], list[int]]:
+def _cut(
+    hits: Sequence[MotionHit], numbers: Sequence[int], frames: I64, least: float
+) -> tuple[list[MotionHit], list[int]]:
     """Return the parts of hits that lie in the given frames, with the number of each hit."""
     found = [(part, number) for hit, number in zip(hits, numbers, strict=True) for part in cut_to([hit], frames, least)]
     return [part for part, _ in found], [number for _, number in found]

@@ -15,7 +15,7 @@ from kinedex.ops.distances.stripes import BLOCK
 from kinedex.ops.errors import ParameterError
 from kinedex.ops.ranges import checked_ranges
 from kinedex.ops.ranking.block_search import gather_blocks, select_from_blocks
-from kinedex.ops.ranking.hit_selection import Candidates, Selection, select_best
+from kinedex.ops.ranking.hit_selection import KEYS, Candidates, Selection, select_best
 from kinedex.ops.templates.templates import QuantisedTemplate
 from kinedex.ops.words import TakeWords
 
@@ -60,6 +60,35 @@ class Hits:
 
     def __len__(self) -> int:
         return len(self.costs)
+
+    @classmethod
+    def none(cls, frames: int = 0, *, bounded: bool = False) -> Hits:
+        """Return no hits in a number of frames, none of which was computed."""
+        empty = np.empty(0, np.int64)
+        return cls(empty, empty, empty, np.empty(0), frames, 0, bounded)
+
+    def merged(self, other: Hits, order: I64, most: int | None) -> Hits:
+        """Merge these hits with those of the same template in other takes.
+
+        Parameters
+        ----------
+        other : Hits
+            Hits in takes in which none of these are; both count the same takes.
+        order : int64 array (T,)
+            The rank of each take among hits of equal cost.
+        most : int, optional
+            The number of hits to keep, the best ones; None keeps all.
+        """
+        columns = zip(self._columns(), other._columns(), strict=True)
+        takes, starts, stops, costs = (np.concatenate(pair) for pair in columns)
+        best = np.lexsort((stops, order[takes], np.rint(costs * KEYS)))[:most]
+        frames, computed = self.frames + other.frames, self.computed + other.computed
+        return Hits(
+            takes[best], starts[best], stops[best], costs[best], frames, computed, self.bounded or other.bounded
+        )
+
+    def _columns(self) -> tuple[I64, I64, I64, F64]:
+        return self.takes, self.starts, self.stops, self.costs
 
 
 @dataclass(frozen=True)

@@ -29,8 +29,7 @@ from kinedex.pipelines.templates.learning import (
     read_templates,
     run_of,
 )
-from kinedex.pipelines.templates.recipes import feature_weights
-from kinedex.pipelines.templates.training import TemplateParameters, completed
+from kinedex.pipelines.templates.training import TemplateParameters, completed, feature_weights
 from kinedex.storage.store.store import Store
 
 Single = Callable[[Annotator, Sequence[TrainingClips], Sequence[Rejected]], Annotator]

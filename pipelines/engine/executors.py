@@ -12,7 +12,7 @@ import threading
 import time
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator
-from concurrent.futures import CancelledError, Future, ProcessPoolExecutor
+from concurrent.futures import CancelledError, Future, ProcessPoolExecutor, ThreadPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import contextmanager, suppress
 from itertools import chain, islice
@@ -20,6 +20,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Protocol, TypeVar
 
 from kinedex.ops.errors import KinedexError, ParameterError
+from kinedex.ops.withdrawal import check_withdrawn
 
 if TYPE_CHECKING:
     from distributed import Client
@@ -401,6 +402,26 @@ def batches_of(items: Iterable[Item], sizes: Iterable[int], most: int) -> list[t
         batches[-1].append(item)
         room -= size
     return [tuple(batch) for batch in batches]
+
+
+def in_threads(work: Callable[[Item], Result], items: Iterable[Item], workers: int) -> Iterator[Result]:
+    """Apply a function to every item in threads, with two items per thread in flight; yield the results in order.
+
+    The next item is drawn only after earlier results were consumed, so that it can use thresholds from them. The
+    kernels release the interpreter's lock: threads use all cores without copying words. After cancellation, only the
+    items in flight are completed.
+    """
+    source = iter(items)
+    with ThreadPoolExecutor(max(1, workers)) as pool:
+        waiting: deque[Future[Result]] = deque(pool.submit(work, item) for item in islice(source, 2 * workers))
+        try:
+            while waiting:
+                check_withdrawn()
+                yield waiting.popleft().result()
+                waiting.extend(pool.submit(work, item) for item in islice(source, 1))
+        finally:
+            for future in waiting:
+                future.cancel()
 
 
 def make_executor(kind: str, workers: int | None = None, scheduler: str | None = None) -> Executor:

@@ -35,8 +35,7 @@ from kinedex.pipelines.evaluation.preparation import (
 from kinedex.pipelines.evaluation.scheme import ComparisonParameters, Method, Split
 from kinedex.pipelines.evaluation.study import SplitResult, Study, Threshold
 from kinedex.pipelines.keyframes.parameters import KeyframeParameters
-from kinedex.pipelines.templates.recipes import templates_of_files
-from kinedex.pipelines.templates.training import TemplateParameters, training_material
+from kinedex.pipelines.templates.training import TemplateParameters, templates_of_files, training_material
 from kinedex.storage.snapshot.manifest import now
 from kinedex.storage.store.store import Store
 

@@ -19,11 +19,9 @@ from kinedex.pipelines.evaluation.grid import Cell, cell_key
 from kinedex.pipelines.evaluation.scheme import Method
 from kinedex.pipelines.keyframes.learning import Outcome, TrainingSet, every_query, training_sets
 from kinedex.pipelines.keyframes.parameters import KeyframeParameters, setting_of
-from kinedex.pipelines.keyframes.run_storage import StoredRuns
-from kinedex.pipelines.keyframes.runs import ClassRuns, known_runs, learn
+from kinedex.pipelines.keyframes.runs import ClassRuns, StoredRuns, known_runs, learn
 from kinedex.pipelines.templates.learning import SubclassTemplate, learn_templates
-from kinedex.pipelines.templates.recipes import feature_weights
-from kinedex.pipelines.templates.training import TemplateParameters, completed
+from kinedex.pipelines.templates.training import TemplateParameters, completed, feature_weights
 from kinedex.storage.store.store import Store
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import shlex
-from collections import Counter, OrderedDict
+from collections import Counter
 from collections.abc import Iterator, Sequence
 from itertools import groupby
 from typing import Any
@@ -13,6 +13,7 @@ import pyarrow as pa
 import xxhash
 
 from kinedex.ops.arrays import F32, I64
+from kinedex.ops.cache import Cache
 from kinedex.ops.duplicates.alignments import find_alignments
 from kinedex.ops.duplicates.same_motion import NEARLY_ALL, local_poses, same_motion
 from kinedex.ops.duplicates.word_agreement import plausible
@@ -144,8 +145,7 @@ def _same_files(store: Snapshot) -> tuple[list[dict[str, Any]], list[str]]:
 def _same_motions(store: Snapshot, names: list[str], progress: Progress) -> list[dict[str, Any]]:
     """Return the rows of those of the given takes that contain the same motion."""
     words = store.words([store.take_id(name) for name in names])
-    named = {take_id: name for name, take_id in store.take_ids.items()}
-    ordered = [named[take_id] for take_id in words.take_ids.tolist()]
+    ordered = [store.take_names[take_id] for take_id in words.take_ids.tolist()]
     found = _candidates(store, words, progress)
     poses = _Poses(store)
     best: dict[tuple[str, str, bool], dict[str, Any]] = {}
@@ -223,8 +223,7 @@ class _Poses:
         self._store = store
         self._joints = list(store.feature_set.joints)
         self._held: dict[str, F32] = {}
-        self._cached: OrderedDict[tuple[str, bool], F32] = OrderedDict()
-        self._bytes = 0
+        self._cached: Cache[tuple[str, bool], F32] = Cache(CACHED_BYTES, lambda poses: poses.nbytes, least=2)
 
     def hold(self, takes: set[str]) -> None:
         """Hold the joint positions of the given takes in memory, and free all others."""
@@ -234,14 +233,8 @@ class _Poses:
 
     def of(self, take: str, mirrored: bool) -> F32:
         """Return the poses of a take held in memory, or of its mirror image; see `local_poses`."""
-        key = (take, mirrored)
-        if key not in self._cached:
-            self._cached[key] = self._local(take, mirrored)
-            self._bytes += self._cached[key].nbytes
-            while self._bytes > CACHED_BYTES and len(self._cached) > 2:
-                self._bytes -= self._cached.popitem(last=False)[1].nbytes
-        self._cached.move_to_end(key)
-        return self._cached[key]
+        kept = self._cached.get((take, mirrored))
+        return self._cached.put((take, mirrored), self._local(take, mirrored)) if kept is None else kept
 
     def _local(self, take: str, mirrored: bool) -> F32:
         joints, places = self._joints, self._held[take]

@@ -15,6 +15,7 @@ import numpy as np
 from kinedex.catalog.classes import Classes
 from kinedex.catalog.features import FeatureSet
 from kinedex.catalog.queries.keyframe_query import SAME_FRAME, Gap, Keyframe, KeyframeQuery
+from kinedex.ops.cache import Cache
 from kinedex.ops.errors import KinedexError
 from kinedex.ops.keyframes.consensus import AtLeast, Consensus, find_consensus
 from kinedex.ops.keyframes.fitness import training_frames
@@ -280,17 +281,14 @@ def _joined(training: TrainingSet, setting: Setting) -> list[U64]:
     return [np.concatenate(pair) for pair in pairs]
 
 
-@lru_cache(maxsize=4)
-def _cached(key: str) -> list[TrainingTask]:
-    # One training task per training set and worker, created by the first task that needs it.
-    return []
+_TASKS: Cache[str, TrainingTask] = Cache(4)
+"""The training tasks of a worker, each made by the first run that needs it."""
 
 
 def _cached_task(training: TrainingSet, setting: Setting) -> TrainingTask:
-    kept = _cached(training.key(setting))
-    if not kept:
-        kept.append(training_task(training, setting))
-    return kept[0]
+    key = training.key(setting)
+    kept = _TASKS.get(key)
+    return _TASKS.put(key, training_task(training, setting)) if kept is None else kept
 
 
 def learn_runs(task: RunTask) -> list[LearningRun]:

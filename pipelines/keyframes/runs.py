@@ -5,6 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
+from typing import TYPE_CHECKING
 
 import numpy as np
 import pyarrow as pa
@@ -24,6 +25,9 @@ from kinedex.pipelines.keyframes.learning import (
     make_outcome,
 )
 from kinedex.storage.snapshot.schemas import result_schema
+
+if TYPE_CHECKING:
+    from kinedex.pipelines.engine.context import StageContext
 
 SAVE_SECONDS = 20.0
 """The longest time, in seconds, after which finished runs are stored."""
@@ -295,3 +299,32 @@ def _query_of(row: dict[str, list[int]]) -> Individual:
     masks, values = (np.array(row[name], np.uint64) for name in ("masks", "values"))
     positions, lows, highs = (np.array(row[name], np.int64) for name in ("positions", "lows", "highs"))
     return Individual(masks, values, positions, lows, highs)
+
+
+class StoredRuns:
+    """The learning runs that a stage has stored.
+
+    Saving removes the runs of other training clips, because they cannot be reused.
+    """
+
+    def __init__(self, context: StageContext, trainings: Sequence[TrainingSet]) -> None:
+        self._context = context
+        self._prefixes = {training.clips_key() for training in trainings}
+        own = context.open().result("keyframe_runs", stage=context.key())
+        self._runs: dict[tuple[str, int], FinishedRun] = {(one.key, one.number): one for one in known_runs(own)}
+
+    def known(self) -> list[FinishedRun]:
+        """Return all stored runs."""
+        return list(self._runs.values())
+
+    def save(self, classes: Sequence[ClassRuns]) -> None:
+        """Add the finished runs of classes, and store all runs."""
+        self._context.put_results(keyframe_runs=self.table(classes))
+
+    def table(self, classes: Sequence[ClassRuns]) -> pa.Table:
+        """Add the finished runs of classes, and return all as results of the kind `keyframe_runs`."""
+        for one_class in classes:
+            for number, run in one_class.runs.items():
+                self._runs[one_class.key, number] = FinishedRun(one_class.key, one_class.training.subclass, number, run)
+        kept = [one for one in self._runs.values() if one.key.partition("-")[0] in self._prefixes]
+        return runs_table(sorted(kept, key=lambda one: (one.subclass, one.key, one.number)), self._context.run)

@@ -1,12 +1,16 @@
-"""Read the learned queries of a store, of one stage and of given classes."""
+"""Read the learned queries of a store, and format them as tables and as text."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 
+import pyarrow as pa
+
+from kinedex.catalog.features import FeatureSet
+from kinedex.catalog.queries.keyframe_query import Keyframe, KeyframeQuery, features_of
 from kinedex.ops.errors import KinedexError, did_you_mean
-from kinedex.pipelines.keyframes.learning import Outcome
+from kinedex.pipelines.keyframes.learning import Outcome, keyframe_queries
 from kinedex.pipelines.keyframes.runs import outcomes_of
 from kinedex.storage.snapshot.shown_results import pipeline_of, shown_pipeline
 from kinedex.storage.store.store import Store
@@ -73,3 +77,71 @@ def stored_queries(store: Store, classes: Sequence[str] | None = None, pipeline:
             raise KinedexError(f"no query was learned for '{name}' by {stage}{did_you_mean(name, found)}")
     chosen = tuple(found[name] for name in dict.fromkeys(classes or found))
     return StoredQueries(chosen, frozenset(found), stage, tuple(others))
+
+
+_OVERVIEW = pa.schema(
+    [
+        ("query", pa.string()),
+        ("origin", pa.string()),
+        ("runs", pa.int64()),
+        ("precision", pa.float64()),
+        ("recall", pa.float64()),
+        ("fitness", pa.float64()),
+        ("keyframes", pa.string()),
+        ("margins", pa.string()),
+    ]
+)
+
+
+def overview(outcomes: Sequence[Outcome], feature_set: FeatureSet, taken: Collection[str]) -> pa.Table:
+    """Return a row for each query with its origin, its keyframes, and the scores of the queries of its class.
+
+    Precision and recall are those of all queries of a class together on the training clips, and are in its first row
+    only.
+
+    Parameters
+    ----------
+    outcomes : sequence of Outcome
+        The outcomes of classes.
+    feature_set : FeatureSet
+        The features of their keyframes.
+    taken : collection of str
+        The names of all subclasses, as for `keyframe_queries`.
+    """
+    rows = []
+    for outcome in outcomes:
+        for number, query in enumerate(keyframe_queries(outcome, feature_set, taken)):
+            assert query.margins is not None
+            rows.append(
+                {
+                    "query": query.name,
+                    "origin": outcome.consensus.origin if number == 0 else "run",
+                    "runs": outcome.runs,
+                    "precision": round(outcome.precision, 3) if number == 0 else None,
+                    "recall": round(outcome.recall, 3) if number == 0 else None,
+                    "fitness": round(outcome.consensus.fitness, 3) if number == 0 else None,
+                    "keyframes": sentence(query, feature_set),
+                    "margins": f"{query.margins[0]} {query.margins[1]}",
+                }
+            )
+    return pa.Table.from_pylist(rows, schema=_OVERVIEW)
+
+
+LEGEND = """keyframes: features that are on, and off where a minus stands before them; & joins what holds in one frame;
+→11–56→: the next keyframe follows 11 to 56 frames later. margins: frames before and after a hit that the motion may
+reach. Precision and recall are those of all queries of a class together, in its first row."""
+"""The text below the table on the terminal."""
+
+
+def sentence(query: KeyframeQuery, feature_set: FeatureSet) -> str:
+    """Return a query as one line: features that are on, features that are off with a minus, and gaps in frames."""
+    text = _words(query.keyframes[0], feature_set)
+    for gap, keyframe in zip(query.gaps, query.keyframes[1:], strict=True):
+        text += " & " if gap.high == 0 else f" →{gap.low}–{gap.high}→ "
+        text += _words(keyframe, feature_set)
+    return text
+
+
+def _words(keyframe: Keyframe, feature_set: FeatureSet) -> str:
+    on, off = features_of(keyframe, feature_set)
+    return " ".join([*on, *(f"−{name}" for name in off)])

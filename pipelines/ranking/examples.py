@@ -10,6 +10,7 @@ import numpy.typing as npt
 
 from kinedex.catalog.template_files import NamedTemplate
 from kinedex.ops.errors import KinedexError
+from kinedex.ops.intervals import Hit
 from kinedex.ops.templates.contrast_weights import contrast_weights
 from kinedex.ops.words import ALL_KNOWN, U64
 from kinedex.pipelines.ranking.store_ranking import DELTA
@@ -19,16 +20,6 @@ from kinedex.pipelines.templates.stored_templates import frame_range, template_o
 from kinedex.storage.store.store import Store
 
 F64 = npt.NDArray[np.float64]
-
-
-@dataclass(frozen=True)
-class ChosenInterval:
-    """The frames [start, stop) of a take, or their mirror image."""
-
-    take_id: int
-    start: int
-    stop: int
-    mirrored: bool = False
 
 
 @dataclass(frozen=True)
@@ -58,8 +49,8 @@ class ChosenTemplate:
 def template_of_chosen(
     store: Store,
     name: str,
-    accepted: Sequence[ChosenInterval],
-    rejected: Sequence[ChosenInterval] = (),
+    accepted: Sequence[Hit],
+    rejected: Sequence[Hit] = (),
     delta: float = DELTA,
 ) -> ChosenTemplate:
     """Learn a template from accepted intervals, in contrast to rejected ones.
@@ -75,9 +66,9 @@ def template_of_chosen(
         The store of the takes.
     name : str
         The name of the template.
-    accepted : sequence of ChosenInterval
+    accepted : sequence of Hit
         Intervals that show the motion; at least one.
-    rejected : sequence of ChosenInterval, optional
+    rejected : sequence of Hit, optional
         Intervals that do not show the motion.
     delta : float, optional
         Values within delta of 0 or 1 count as fixed.
@@ -94,20 +85,20 @@ def template_of_chosen(
     remarks: tuple[str, ...] = ()
     if len(accepted) == 1 and not accepted[0].mirrored:
         (one,) = accepted
-        words, known = held.take(one.take_id), store.known.get(one.take_id, int(ALL_KNOWN))
-        named = template_of_frames(words, held.names[one.take_id], one.start, one.stop, features, name, known)
+        take, start, stop = one.interval
+        named = template_of_frames(held.takes[take], take, start, stop, features, name, held.known(one))
         learned_words = [held.words(one)]
     else:
-        clips = {held.label(one): one for one in accepted}
+        clips = {label_of(one): one for one in accepted}
         masks = {label: held.known(one) for label, one in clips.items()}
         known_masks = {label: mask for label, mask in masks.items() if mask != ALL_KNOWN}
-        actors = {label: held.actors[one.take_id] for label, one in clips.items()}
+        actors = {label: held.actors[one.interval.take] for label, one in clips.items()}
         words_of = {label: held.words(clips[label]) for label in sorted(clips)}
         training = usable_clips(name, words_of, known_masks, actors)
         learned = learned_of(training, "soft", features)
         named = NamedTemplate(name, learned.template, f"learned of {len(training.names)} intervals")
         learned_words, remarks = list(training.words), training.remarks
-    apart = [one for one in rejected if not any(_overlap(one, other) for other in accepted)]
+    apart = [one for one in rejected if not any(one.interval.overlaps(other.interval) for other in accepted)]
     if len(apart) < len(rejected):
         remarks = (*remarks, f"rejected intervals that overlap an accepted one, ignored: {len(rejected) - len(apart)}")
     if apart:
@@ -119,44 +110,38 @@ def template_of_chosen(
             template=replace(named.template, feature_weights=weights),
             description=f"{named.description}, in contrast to {len(apart)} rejected",
         )
-    return ChosenTemplate(named, tuple(held.label(one) for one in accepted), remarks)
+    return ChosenTemplate(named, tuple(label_of(one) for one in accepted), remarks)
 
 
-def _overlap(one: ChosenInterval, other: ChosenInterval) -> bool:
-    return one.take_id == other.take_id and one.start < other.stop and other.start < one.stop
+def label_of(one: Hit) -> str:
+    """Return the name of an example that a hit was chosen to be."""
+    take, start, stop = one.interval
+    return f"{'mirror of ' if one.mirrored else ''}{take}[{start}:{stop}]"
 
 
 class _Words:
     """The words of the takes from which intervals were chosen."""
 
-    def __init__(self, store: Store, chosen: Sequence[ChosenInterval]) -> None:
+    def __init__(self, store: Store, chosen: Sequence[Hit]) -> None:
         self.store = store
-        wanted = {one.take_id for one in chosen}
-        self.names = {take_id: name for name, take_id in store.take_ids.items() if take_id in wanted}
-        if missing := wanted - set(self.names):
-            raise KinedexError(f"no take has the id {min(missing)}; it may have been removed from the store")
-        rows = store.takes().select("take_id", "actor").iter_rows()
-        self.actors = {take_id: actor or "" for take_id, actor in rows if take_id in wanted}
+        wanted = {store.take_id(one.interval.take) for one in chosen}
+        rows = store.takes().select("take_id", "name", "actor").iter_rows()
+        self.actors = {name: actor or "" for take_id, name, actor in rows if take_id in wanted}
         found = stored_words(store, sorted(wanted))
-        self._takes = {take_id: found.take(place) for place, take_id in enumerate(found.take_ids.tolist())}
-        for one in chosen:
-            frame_range(self.names[one.take_id], len(self.take(one.take_id)), store.rate_hz, one.start, one.stop)
+        self.takes = {store.take_names[take_id]: found.take(i) for i, take_id in enumerate(found.take_ids.tolist())}
+        for take, start, stop in (one.interval for one in chosen):
+            frame_range(take, len(self.takes[take]), store.rate_hz, start, stop)
 
-    def take(self, take_id: int) -> U64:
-        return self._takes[take_id]
-
-    def words(self, one: ChosenInterval) -> U64:
+    def words(self, one: Hit) -> U64:
         """Return the words of an interval; for a mirrored one, with left and right exchanged."""
-        words = self._takes[one.take_id][one.start : one.stop]
+        take, start, stop = one.interval
+        words = self.takes[take][start:stop]
         return self.store.feature_set.mirrored(words) if one.mirrored else words
 
-    def known(self, one: ChosenInterval) -> int:
+    def known(self, one: Hit) -> int:
         """Return the mask of the features that are known in the take of an interval."""
-        mask = self.store.known.get(one.take_id, int(ALL_KNOWN))
+        mask = self.store.known.get(self.store.take_ids[one.interval.take], int(ALL_KNOWN))
         if not one.mirrored or mask == ALL_KNOWN:
             return mask
         features = self.store.feature_set
         return int(features.mirrored(np.array([mask & features.every_bit], np.uint64))[0])
-
-    def label(self, one: ChosenInterval) -> str:
-        return f"{'mirror of ' if one.mirrored else ''}{self.names[one.take_id]}[{one.start}:{one.stop}]"

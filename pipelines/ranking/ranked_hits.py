@@ -1,15 +1,16 @@
-"""Define the templates of a ranking, the hits of each template, and the table of hits."""
+"""Define the templates of a ranking, and the ranking of each: its hits as a table, and the work to find them."""
 
 from __future__ import annotations
 
 from collections.abc import Iterable
 from dataclasses import dataclass
 
+import numpy as np
 import pyarrow as pa
 
 from kinedex.catalog.queries.keyframe_query import KeyframeQuery
 from kinedex.ops.templates.templates import QuantisedTemplate
-from kinedex.storage.snapshot.schemas import result_schema
+from kinedex.storage.snapshot.schemas import ranking_schema
 
 
 @dataclass(frozen=True)
@@ -22,18 +23,6 @@ class RankedTemplate:
 
 
 @dataclass(frozen=True)
-class Hit:
-    """A range of frames [start, stop) of a take that matches a template, or its mirror image, at distance `cost`."""
-
-    take_id: int
-    take: str
-    start: int
-    stop: int
-    cost: float
-    mirrored: bool = False
-
-
-@dataclass(frozen=True)
 class Ranking:
     """The hits of one template, with the work to find them; seconds are summed over all threads.
 
@@ -41,8 +30,8 @@ class Ranking:
     ----------
     name : str
         The name of the template.
-    hits : tuple of Hit
-        The hits, the best first.
+    hits : pyarrow.Table
+        The hits, the best first, with the columns of `ranking_schema`.
     frames : int
         The number of frames of all takes.
     searched : int
@@ -58,13 +47,17 @@ class Ranking:
     """
 
     name: str
-    hits: tuple[Hit, ...]
+    hits: pa.Table
     frames: int
     searched: int
     computed: int
     bounded: bool
     reading: float
     ranking: float
+
+    def __len__(self) -> int:
+        """Return the number of hits."""
+        return int(self.hits.num_rows)
 
     @property
     def skipped(self) -> float | None:
@@ -79,22 +72,25 @@ class Ranking:
         return self.searched / self.frames if self.frames else 0.0
 
 
-def ranking_table(rankings: Iterable[Ranking], rate_hz: float, run: str = "") -> pa.Table:
-    """Return hits as results of the kind `ranked_hits`, in the order of templates and ranks."""
-    rows = [
-        {
-            "run": run,
-            "template": ranking.name,
-            "rank": place,
-            "take_id": hit.take_id,
-            "take": hit.take,
-            "start": hit.start,
-            "stop": hit.stop,
-            "start_seconds": hit.start / rate_hz,
-            "stop_seconds": hit.stop / rate_hz,
-            "cost": hit.cost,
-        }
-        for ranking in rankings
-        for place, hit in enumerate(ranking.hits, start=1)
-    ]
-    return pa.Table.from_pylist(rows, schema=result_schema("ranked_hits"))
+def as_ranked(hits: pa.Table) -> pa.Table:
+    """Return the hits of a template, the best first, with their ranks counted from 1."""
+    column = hits.schema.get_field_index("rank")
+    ranks = pa.array(np.arange(1, hits.num_rows + 1, dtype=np.int32))
+    return hits.set_column(column, hits.schema.field(column), ranks)
+
+
+def ranking_table(rankings: Iterable[Ranking], run: str = "", *, mirror: bool = False) -> pa.Table:
+    """Return hits as results of the kind `ranked_hits`, in the order of templates and ranks.
+
+    Parameters
+    ----------
+    rankings : iterable of Ranking
+        The rankings of the templates.
+    run : str
+        The id of the run.
+    mirror : bool
+        True to keep the column `mirrored`, which is not stored.
+    """
+    hits = pa.concat_tables([ranking_schema().empty_table(), *(one.hits for one in rankings)]).combine_chunks()
+    table = hits.set_column(0, hits.schema.field(0), pa.repeat(run, hits.num_rows))
+    return table if mirror else table.drop_columns(["mirrored"])

@@ -1,10 +1,14 @@
-"""Evaluate rankings: hits in takes against manual segments, and clips that templates were not learned from."""
+"""Evaluate rankings: hits in takes against manual segments, clips not learned from, and the stiffness experiment.
+
+The stiffness experiment ranks within hits of queries: the fractions of frames that queries keep, precision and recall,
+by the stiffness of gaps.
+"""
 
 from __future__ import annotations
 
 import math
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -12,19 +16,26 @@ import pyarrow as pa
 from pydantic import BaseModel, ConfigDict
 
 from kinedex.catalog.classes import OWN, load_classes
+from kinedex.catalog.queries.keyframe_query import SAME_FRAME, Gap, KeyframeQuery
 from kinedex.ops.distances.dtw import distance_curves
-from kinedex.ops.evaluation.ranking_metrics import average_precision
+from kinedex.ops.evaluation.ranking_metrics import average_precision, precision_recall
+from kinedex.ops.intervals import Interval
 from kinedex.ops.ranking.hit_selection import KEYS
+from kinedex.ops.search.gaps import UNBOUNDED, nominal_gap
 from kinedex.ops.templates.derived_templates import restricted_template
 from kinedex.ops.templates.templates import QuantisedTemplate
 from kinedex.ops.words import TakeWords
-from kinedex.pipelines.engine.display import ResultTable
+from kinedex.pipelines.engine.display import Progress, ResultTable
 from kinedex.pipelines.evaluation.ground_truth import GroundTruth, Manual, place_ground_truth
 from kinedex.pipelines.labels.segments import on_takes
-from kinedex.pipelines.ranking.ranked_hits import Hit
+from kinedex.pipelines.ranking.ranked_hits import RankedTemplate
+from kinedex.pipelines.ranking.ranking import rank_takes
 from kinedex.storage.formats.labels.formats import ground_truth_files, read_labels
-from kinedex.storage.snapshot.schemas import result_schema
+from kinedex.storage.snapshot.schemas import hits_of, result_schema
 from kinedex.storage.store.store import Store
+
+EVERYWHERE = "all frames"
+WRITTEN = "as written"
 
 
 class Fold(BaseModel):
@@ -104,7 +115,7 @@ def names_filter(takes: Sequence[str]) -> str:
     return "name IN (" + ", ".join("'" + name.replace("'", "''") + "'" for name in takes) + ")"
 
 
-def judge_hits(label: str, hits: Sequence[Hit], truth: Sequence[Manual], tau: float) -> Judged:
+def judge_hits(label: str, hits: pa.Table, truth: Sequence[Manual], tau: float) -> Judged:
     """Evaluate the ranked hits of a class by the manual segments of all classes.
 
     A hit is right if its overlap with a segment of its class, which no better hit has matched, is at least half of the
@@ -115,25 +126,25 @@ def judge_hits(label: str, hits: Sequence[Hit], truth: Sequence[Manual], tau: fl
     relevant, found = [], 0
     others: Counter[str] = Counter()
     pending: Counter[str] = Counter()
-    for hit in hits:
-        match = next((i for i, one in enumerate(wanted) if i not in taken and _same(hit, one)), None)
+    for hit in hits_of(hits):
+        match = next((i for i, one in enumerate(wanted) if i not in taken and _same(hit.interval, one)), None)
         relevant.append(match is not None)
         if match is not None:
             taken.add(match)
-            found += hit.cost < tau
+            found += hit.cost is not None and hit.cost < tau
             others += pending
             pending.clear()
         else:
-            labels = [one.label for one in truth if _same(hit, one)]
+            labels = [one.label for one in truth if _same(hit.interval, one)]
             pending[labels[0] if labels else "nothing"] += 1
     return Judged("takes", "", label, tuple(relevant), len(wanted), found, tuple(others.most_common()))
 
 
-def _same(hit: Hit, segment: Manual) -> bool:
+def _same(hit: Interval, segment: Manual) -> bool:
     if hit.take != segment.take:
         return False
     both = min(hit.stop, segment.stop) - max(hit.start, segment.start)
-    return 2 * both >= min(hit.stop - hit.start, segment.stop - segment.start)
+    return 2 * both >= min(hit.frames, segment.stop - segment.start)
 
 
 def clip_costs(templates: Mapping[str, QuantisedTemplate], clips: TakeWords) -> dict[str, np.ndarray]:
@@ -224,3 +235,129 @@ def retrieval_table(judged: Sequence[Judged], title: str, tau: float) -> ResultT
 
 def _number(value: float) -> str:
     return "–" if math.isnan(value) else f"{value:.3f}"
+
+
+@dataclass(frozen=True)
+class Trial:
+    """The ranking of one class with one variant of its queries.
+
+    Attributes
+    ----------
+    variant : str
+        `EVERYWHERE` (no preselection), `WRITTEN`, or a stiffness as text.
+    stiffness : float, optional
+        The stiffness of all gaps.
+    judged : Judged
+        The evaluation of the ranking.
+    kept : float
+        The fraction of frames that was ranked.
+    """
+
+    variant: str
+    stiffness: float | None
+    judged: Judged
+    kept: float
+
+
+def stiffened(query: KeyframeQuery, stiffness: float) -> KeyframeQuery:
+    """Return a query with the same stiffness in all gaps (thesis, Figure 3.14: σ ≡ 1.0).
+
+    A gap that was given as a range gets the nominal distance of the range (Eq. 4.8). Gaps between parts of one
+    keyframe, and gaps without an upper bound, which have no distance, are unchanged.
+    """
+    gaps = tuple(_gap(gap, stiffness) for gap in query.gaps)
+    return replace(query, gaps=gaps, alternatives=tuple(stiffened(other, stiffness) for other in query.alternatives))
+
+
+def _gap(gap: Gap, stiffness: float) -> Gap:
+    if gap == SAME_FRAME:
+        return gap
+    distance = gap.distance
+    if distance is None:
+        if gap.high >= UNBOUNDED:
+            return gap
+        distance = round(nominal_gap(gap.low, gap.high)[0])
+    return Gap.of_distance(distance, stiffness)
+
+
+def mean_stiffness(queries: Iterable[KeyframeQuery]) -> float | None:
+    """Return the mean stiffness of all gaps of some queries (thesis, Table 3.2), without those within a keyframe."""
+    values = [
+        gap.nominal_stiffness for query in queries for chain in query.chains for gap in chain.gaps if gap != SAME_FRAME
+    ]
+    return sum(values) / len(values) if values else None
+
+
+def run_trials(
+    store: Store,
+    searched: Sequence[RankedTemplate],
+    truth: Sequence[Manual],
+    takes: str,
+    stiffnesses: Sequence[float],
+    tau: float,
+    workers: int,
+    progress: Progress,
+) -> list[Trial]:
+    """Rank takes in all frames, within the hits of the queries as written, and with changed stiffnesses.
+
+    Parameters
+    ----------
+    store : Store
+        The store to search.
+    searched : sequence of RankedTemplate
+        The templates; those without queries are ranked in all frames only.
+    truth : sequence of Manual
+        The manual segments to find.
+    takes : str
+        A SQL filter over the columns of takes.
+    stiffnesses : sequence of float
+        The stiffnesses in [0, 1], each used for all gaps of all queries.
+    tau : float
+        The threshold of recall.
+    workers : int
+        The number of threads.
+    progress : callable
+        Function of a description and a number of steps that returns a progress bar.
+    """
+    variants: list[tuple[str, float | None, list[RankedTemplate]]] = [
+        (EVERYWHERE, None, [replace(one, queries=()) for one in searched])
+    ]
+    asked = [one for one in searched if one.queries]
+    if asked:
+        variants.append((WRITTEN, None, asked))
+        for value in stiffnesses:
+            rigid = [replace(one, queries=tuple(stiffened(each, value) for each in one.queries)) for one in asked]
+            variants.append((f"{value:g}", value, rigid))
+    trials = []
+    with progress("stiffnesses", len(variants)) as bar:
+        for name, stiffness, templates in variants:
+            for ranking in rank_takes(store, templates, 1.0, None, takes, workers):
+                judged = judge_hits(ranking.name, ranking.hits, truth, tau)
+                trials.append(Trial(name, stiffness, judged, ranking.kept))
+            bar.advance()
+    return trials
+
+
+def trial_rows(trials: Sequence[Trial], run: str) -> pa.Table:
+    """Return trials as results of the kind `precision_recall`."""
+    rows = []
+    for trial in trials:
+        judged = trial.judged
+        precision, recall = precision_recall(judged.relevant, judged.total)
+        average = judged.average_precision
+        rows.append(
+            {
+                "run": run,
+                "variant": trial.variant,
+                "stiffness": trial.stiffness,
+                "class": judged.label,
+                "relevant": judged.total,
+                "ranked": sum(judged.relevant),
+                "found": judged.found,
+                "kept": trial.kept,
+                "average_precision": None if math.isnan(average) else average,
+                "precision": precision.tolist(),
+                "recall": recall.tolist() if judged.total else [],
+            }
+        )
+    return pa.Table.from_pylist(rows, schema=result_schema("precision_recall"))

@@ -14,9 +14,8 @@ from kinedex.ops.errors import KinedexError
 from kinedex.ops.intervals import shown_seconds
 from kinedex.ops.templates.templates import Kind, quantise
 from kinedex.ops.wording import few
-from kinedex.pipelines.ranking.both_sides import rank_both_sides
 from kinedex.pipelines.ranking.ranked_hits import RankedTemplate, Ranking, ranking_table
-from kinedex.pipelines.ranking.ranking import partly_known, rank_takes
+from kinedex.pipelines.ranking.ranking import partly_known, rank_both_sides, rank_takes
 from kinedex.pipelines.search.not_applied import known_of, remarks_on
 from kinedex.pipelines.templates.stored_templates import choose_templates
 from kinedex.storage.store.store import Store
@@ -26,6 +25,41 @@ DELTA, TAU, TOP = 0.1, 0.1, 20
 
 FARTHEST = 1.0
 """The cost where every fixed entry of a template is wrong, which is the largest possible."""
+
+
+@dataclass(frozen=True)
+class RankingQuestion:
+    """A question to a ranking: how near to a template a hit must be, in which takes, and how many are wanted.
+
+    Attributes
+    ----------
+    delta : float
+        Entries of a template within delta of 0 or 1 count, the others are wildcards.
+    tau : float
+        The threshold below which a distance is a hit.
+    top : int, optional
+        The largest number of hits of a template; None returns all.
+    where : str, optional
+        A SQL filter over the columns of takes.
+    mirror : bool
+        True to search the mirror images of the templates as well: the same motions of the other side of the body.
+    nearest : int
+        The number of best matches to return for each template without a hit.
+    workers : int, optional
+        The number of threads; by default that of the cores.
+    """
+
+    delta: float = DELTA
+    tau: float = TAU
+    top: int | None = TOP
+    where: str | None = None
+    mirror: bool = False
+    nearest: int = 0
+    workers: int | None = None
+
+
+USUAL = RankingQuestion()
+"""The question with the default thresholds, in all takes."""
 
 
 @dataclass(frozen=True)
@@ -55,18 +89,11 @@ class StoreRanking:
 
     def table(self) -> pa.Table:
         """Return the hits as results of the kind `ranked_hits`, with a column `mirrored` if images were searched."""
-        return self._rows(self.rankings)
+        return ranking_table(self.rankings, mirror=self.mirror)
 
     def nearest_table(self) -> pa.Table:
         """Return the best matches of templates without a hit, in the same form."""
-        return self._rows(self.nearest)
-
-    def _rows(self, rankings: Sequence[Ranking]) -> pa.Table:
-        table = ranking_table(rankings, self.rate_hz)
-        if not self.mirror:
-            return table
-        sides = [hit.mirrored for ranking in rankings for hit in ranking.hits]
-        return table.append_column("mirrored", pa.array(sides, pa.bool_()))
+        return ranking_table(self.nearest, mirror=self.mirror)
 
     def misses(self, tau: float, option: str = "--tau ") -> list[str]:
         """Return a sentence on each template without a hit below tau: its best match, and the τ that would include it.
@@ -79,17 +106,11 @@ class StoreRanking:
 def rank_store(
     store: Store,
     templates: Sequence[str | NamedTemplate] | None = None,
+    asked: RankingQuestion = USUAL,
     *,
     queries: Sequence[KeyframeQuery] | None = None,
     kind: Kind = "soft",
     stage: str | None = None,
-    delta: float = DELTA,
-    tau: float = TAU,
-    top: int | None = TOP,
-    where: str | None = None,
-    workers: int | None = None,
-    mirror: bool = False,
-    nearest: int = 0,
 ) -> StoreRanking:
     """Rank the places in an archive by their distance to templates.
 
@@ -100,6 +121,8 @@ def rank_store(
     templates : sequence of str or NamedTemplate, optional
         Subclasses with a learned template, paths of template files, or templates themselves; by default all learned
         templates that have fixed entries.
+    asked : RankingQuestion, optional
+        Thresholds, takes, and the number of hits.
     queries : sequence of KeyframeQuery, optional
         A template is ranked within the hits of the queries whose target has its name, and in all frames if it has
         none; by default in all frames.
@@ -107,20 +130,6 @@ def rank_store(
         The kind of the learned templates.
     stage : str, optional
         The stage that learned them: "<pipeline>/<stage>", or the name of the pipeline alone.
-    delta : float
-        Entries of a template within delta of 0 or 1 count, the others are wildcards.
-    tau : float
-        The threshold below which a distance is a hit.
-    top : int, optional
-        The largest number of hits of a template; None returns all.
-    where : str, optional
-        A SQL filter over the columns of takes.
-    workers : int, optional
-        The number of threads; by default that of the cores.
-    mirror : bool
-        True to search the mirror images of the templates as well: the same motions of the other side of the body.
-    nearest : int
-        The number of best matches to return for each template without a hit.
 
     Returns
     -------
@@ -136,25 +145,27 @@ def rank_store(
     names = None if templates is None else [one for one in templates if isinstance(one, str)]
     given = [one for one in templates or () if not isinstance(one, str)]
     found = choose_templates(store, names, kind, stage) if names or templates is None else []
-    ranked, remarks = ranked_templates([*found, *given], delta, queries, strict=templates is not None)
-    known = known_of(store.known, store.takes_table(where).column("take_id").to_pylist()) if store.known else {}
+    ranked, remarks = ranked_templates([*found, *given], asked.delta, queries, strict=templates is not None)
+    known = known_of(store.known, store.takes_table(asked.where).column("take_id").to_pylist()) if store.known else {}
     remarks += remarks_on(partly_known(ranked, store.feature_set, known), known)
-    ranking = rank_both_sides if mirror else rank_takes
-    rankings = ranking(store, ranked, tau, top, where, workers)
-    missed = [own for own, one in zip(ranked, rankings, strict=True) if not one.hits]
-    near = ranking(store, missed, FARTHEST, nearest, where, workers) if nearest and missed and tau < FARTHEST else []
-    return StoreRanking(tuple(rankings), store.rate_hz, tuple(remarks), mirror, tuple(near))
+    rank = rank_both_sides if asked.mirror else rank_takes
+    rankings = rank(store, ranked, asked.tau, asked.top, asked.where, asked.workers)
+    missed = [own for own, one in zip(ranked, rankings, strict=True) if not len(one)]
+    near = []
+    if asked.nearest and missed and asked.tau < FARTHEST:
+        near = rank(store, missed, FARTHEST, asked.nearest, asked.where, asked.workers)
+    return StoreRanking(tuple(rankings), store.rate_hz, tuple(remarks), asked.mirror, tuple(near))
 
 
 def _miss(one: Ranking, tau: float, rate_hz: float, option: str) -> str:
     """Return the sentence on a template without a hit below tau, given its best matches."""
-    if not one.hits:
+    if not len(one):
         return f"'{one.name}' fits nowhere below {FARTHEST:g}"
-    best = one.hits[0]
-    enough = min((floor(best.cost * 100) + 1) / 100, FARTHEST)  # rounded up to two digits, above the cost
+    (best,) = one.hits.slice(0, 1).to_pylist()
+    enough = min((floor(best["cost"] * 100) + 1) / 100, FARTHEST)  # rounded up to two digits, above the cost
     return (
-        f"no hit of '{one.name}' below {tau:g}; the nearest place costs {best.cost:.3f}: {best.take} at "
-        f"{shown_seconds(best.start, rate_hz)} s; {option}{enough:g} makes it a hit"
+        f"no hit of '{one.name}' below {tau:g}; the nearest place costs {best['cost']:.3f}: {best['take']} at "
+        f"{shown_seconds(best['start'], rate_hz)} s; {option}{enough:g} makes it a hit"
     )
 
 

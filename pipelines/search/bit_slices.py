@@ -270,10 +270,7 @@ def stored_words(store: Store, take_ids: Sequence[int]) -> TakeWords:
     StoreError
         No live take has one of the ids, or a part cannot be read.
     """
-    try:
-        sliced = sliced_index(store)
-    except StoreError:  # a damaged index; the words themselves may be intact
-        sliced = None
+    sliced = sound_index(store)
     asked = np.unique(np.array(list(take_ids), np.int64))
     if sliced is None or not np.isin(asked, sliced.take_ids, assume_unique=True).all():
         return store.words(take_ids)
@@ -295,6 +292,14 @@ def sliced_index(store: Store) -> SlicedWords | None:
                     _mapped[store] = _live_takes(store, open_slices(store.checked, generation, described))
                     break
     return _mapped.get(store)
+
+
+def sound_index(store: Store) -> SlicedWords | None:
+    """Map the bit slices of a store like `sliced_index`; return None also if they are damaged."""
+    try:
+        return sliced_index(store)
+    except StoreError:
+        return None
 
 
 def _live_takes(store: Store, found: Sequence[ShardSlices]) -> SlicedWords:

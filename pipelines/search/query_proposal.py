@@ -7,11 +7,11 @@ import math
 import numpy as np
 
 from kinedex.catalog.configs import scalar
-from kinedex.catalog.features import FeatureSet
 from kinedex.catalog.queries.query_files import parse_queries
+from kinedex.catalog.queries.query_writer import pose_text
 from kinedex.ops.errors import KinedexError
 from kinedex.ops.intervals import shown_seconds
-from kinedex.ops.search.query_proposal import Pose, SetCounts, propose_poses
+from kinedex.ops.search.query_proposal import SetCounts, propose_poses
 from kinedex.ops.wording import counted
 from kinedex.ops.words import ALL_KNOWN, I64, NO_WORD, TakeWords, cut
 from kinedex.pipelines.search.search import search_store
@@ -61,10 +61,12 @@ def propose_query(store: Store, take: str, start: int, stop: int, *, name: str =
     body = [f"{scalar(name)}:", f"  description: {scalar(f'like {take}, frames {start} to {stop}')}", "  keyframes:"]
     for number, pose in enumerate(poses):
         at = start + pose.frame
-        seconds = shown_seconds(at, rate_hz)
-        body.append(f"    # frame {at} of the take ({seconds} s); matches about {pose.share:.2%} of the archive")
-        gap = _gap(pose.frame - poses[number - 1].frame) if number else ""
-        body.append(f"    - {{{gap}{_switches(pose, feature_set)}}}")
+        when = f"frame {at} of the take ({shown_seconds(at, rate_hz)} s)"
+        body.append(f"    # {when}; matches about {pose.share:.2%} of the archive")
+        between = pose.frame - poses[number - 1].frame
+        gap = f"after: {math.ceil(between / 2)} to {2 * between} frames, " if number else ""
+        on, off = feature_set.named(pose.mask & pose.value), feature_set.named(pose.mask & ~pose.value)
+        body.append(f"    - {{{gap}{pose_text(on, off, feature_set)}}}")
     query = parse_queries("\n".join(body), feature_set, "the proposal", rate_hz)
     hits = search_store(store, query)
     frames = int(np.sum(hits.column("stop").to_numpy() - hits.column("start").to_numpy()))
@@ -96,26 +98,6 @@ def _counts(store: Store, known: int) -> list[SetCounts]:
         words = table.column("word").to_numpy().astype(np.uint64)
         counts.append(SetCounts(word_set.first, word_set.count, words, frames))
     return counts
-
-
-def _gap(frames: int) -> str:
-    """Return the text of a gap from half to twice a distance."""
-    low, high = math.ceil(frames / 2), 2 * frames
-    return f"after: {low} to {high} frames, "
-
-
-def _switches(pose: Pose, feature_set: FeatureSet) -> str:
-    """Return the features that a pose fixes, in the syntax of query files."""
-    names: dict[str, list[str]] = {"on": [], "off": []}
-    for feature in feature_set.features:
-        bit = 1 << (feature.number - 1)
-        if pose.mask & bit:
-            names["on" if pose.value & bit else "off"].append(feature.name)
-    switches = [f"{word}: [{', '.join(those)}]" for word, those in names.items() if those]
-    if switches:
-        return ", ".join(switches)
-    anything = next(iter(feature_set.sets.values()))
-    return f'set: {anything.name}, pattern: "{"*" * anything.count}"'
 
 
 def _comment(text: str) -> str:

@@ -20,7 +20,7 @@ from kinedex.ops.words import I64
 from kinedex.pipelines.engine.executors import cores
 from kinedex.pipelines.search.bit_slices import sliced_store
 from kinedex.pipelines.search.not_applied import applicability, known_of, remarks_on
-from kinedex.storage.snapshot.schemas import result_schema, sorted_by
+from kinedex.storage.snapshot.schemas import hits_table, result_schema, sorted_by
 from kinedex.storage.store.store import Store
 
 
@@ -163,7 +163,7 @@ def search_store(
     hits = {
         query.name: ranges_of_takes(ranges, query, store, takes) for query, ranges in zip(queries, found, strict=True)
     }
-    return hits_table(hits, takes.ids, takes.names, store.rate_hz, run)
+    return table_of_ranges(hits, takes, store.rate_hz, run)
 
 
 def search_remarks(store: Store, queries: Sequence[KeyframeQuery], take_filter: str | None = None) -> list[str]:
@@ -219,27 +219,16 @@ def save_hits(store: Store, hits: pa.Table, name: str, run: str) -> pa.Table:
     return saved
 
 
-def hits_table(
-    hits: Mapping[str, TakeRanges], take_ids: I64, names: Sequence[str], rate_hz: float, run: str = ""
-) -> pa.Table:
+def table_of_ranges(hits: Mapping[str, TakeRanges], takes: SearchedTakes, rate_hz: float, run: str = "") -> pa.Table:
     """Return ranges as the table of hits, in the order of the queries, then by take name and start."""
     schema = result_schema("hits")
-    by_name = np.argsort(np.argsort(np.array(names, dtype=np.str_), kind="stable"))
+    rows = pa.table({"take_id": takes.ids, "take": pa.array(takes.names, pa.string())})
+    by_name = np.argsort(np.argsort(np.array(takes.names, dtype=np.str_), kind="stable"))
     tables = []
     for query, ranges in hits.items():
-        index = ranges.takes
-        order = np.lexsort((ranges.starts, by_name[index]))
-        index, starts, stops = index[order], ranges.starts[order], ranges.stops[order]
-        columns = {
-            "run": pa.repeat(run, len(index)),
-            "saved_as": pa.nulls(len(index), pa.string()),
-            "query": pa.repeat(query, len(index)),
-            "take_id": take_ids[index],
-            "take": pa.array([names[i] for i in index.tolist()], pa.string()),
-            "start": starts.astype(np.int32),
-            "stop": stops.astype(np.int32),
-            "start_seconds": starts / rate_hz,
-            "stop_seconds": stops / rate_hz,
-        }
-        tables.append(pa.table(columns, schema=schema))
+        order = np.lexsort((ranges.starts, by_name[ranges.takes]))
+        own = rows.take(ranges.takes[order])
+        columns = {"run": pa.repeat(run, len(order)), "saved_as": pa.nulls(len(order), pa.string())}
+        columns["query"] = pa.repeat(query, len(order))
+        tables.append(hits_table(schema, own, ranges.starts[order], ranges.stops[order], rate_hz, **columns))
     return pa.concat_tables([schema.empty_table(), *tables])

@@ -12,8 +12,7 @@ from kinedex.pipelines.engine.page_files import drawn_by, write_page
 from kinedex.pipelines.engine.stage import Stage
 from kinedex.pipelines.keyframes.learning import training_sets
 from kinedex.pipelines.keyframes.parameters import KeyframeParameters, setting_of
-from kinedex.pipelines.keyframes.run_storage import StoredRuns
-from kinedex.pipelines.keyframes.runs import ClassRuns, learn, queries_table
+from kinedex.pipelines.keyframes.runs import ClassRuns, StoredRuns, learn, queries_table
 from kinedex.pipelines.templates.examples import examples_of, examples_read, rejected_examples
 from kinedex.pipelines.templates.learning import example_clips
 from kinedex.storage.store.store import Store

@@ -13,8 +13,7 @@ from kinedex.pipelines.engine.digests import Reading, files_digest
 from kinedex.pipelines.engine.stage import Input, Stage
 from kinedex.pipelines.templates.examples import examples_read
 from kinedex.pipelines.templates.learning import SubclassTemplate, learn_templates, templates_table
-from kinedex.pipelines.templates.recipes import feature_weights
-from kinedex.pipelines.templates.training import TemplateParameters, completed, training_material
+from kinedex.pipelines.templates.training import TemplateParameters, completed, feature_weights, training_material
 from kinedex.storage.store.store import Store
 
 

@@ -19,7 +19,7 @@ from kinedex.pipelines.engine.file_parameters import NamesFile
 from kinedex.pipelines.engine.stage import Input, Stage
 from kinedex.pipelines.ranking.ranked_hits import RankedTemplate, Ranking, ranking_table
 from kinedex.pipelines.ranking.ranking import partly_known, rank_takes
-from kinedex.pipelines.ranking.stiffness import mean_stiffness
+from kinedex.pipelines.ranking.ranking_evaluation import mean_stiffness
 from kinedex.pipelines.ranking.store_ranking import ranked_templates
 from kinedex.pipelines.search.explanation import explain_store
 from kinedex.pipelines.search.not_applied import known_of, not_applied_table, remarks_on
@@ -68,7 +68,7 @@ class Rank(Stage[Params]):
         for remark in [*remarks, *remarks_on(partly, known)]:
             context.say(remark)
         rankings = _rank(context, store, searched, params)
-        table = ranking_table(rankings, store.rate_hz, context.run)
+        table = ranking_table(rankings, context.run)
         lists = _lists(store, searched, params.where)
         context.terminal.show(_shown(searched, rankings, lists))
         refused = not_applied_table(partly, known, names, context.run)
@@ -162,8 +162,8 @@ def _shown(
             own = lists.get(one.name, Lists(0, None, 0, 0.0, 0.0))
             first += [str(own.keyframes), "–" if own.stiffness is None else f"{own.stiffness:.2f}", f"{own.segments:,}"]
             first += [f"{1000 * own.seconds:.1f}", f"{1000 * own.lists_seconds:.2f}", f"{ranking.kept:.1%}"]
-        best = f"{ranking.hits[0].cost:.3f}" if ranking.hits else "–"
+        best = f"{ranking.hits.column('cost')[0].as_py():.3f}" if len(ranking) else "–"
         skipped = "not tried" if ranking.skipped is None else f"{ranking.skipped:.0%}"
         times = [f"{1000 * seconds:.1f}" for seconds in (ranking.reading, ranking.ranking)]
-        table.add(one.name, *first, skipped, *times, str(len(ranking.hits)), best)
+        table.add(one.name, *first, skipped, *times, str(len(ranking)), best)
     return table

@@ -16,8 +16,15 @@ from kinedex.pipelines.engine.context import StageContext
 from kinedex.pipelines.engine.digests import files_digest
 from kinedex.pipelines.engine.display import ResultTable
 from kinedex.pipelines.engine.stage import Input, Stage
-from kinedex.pipelines.ranking.ranking_evaluation import mean_average_precision, names_filter, read_truth
-from kinedex.pipelines.ranking.stiffness import WRITTEN, Trial, run_trials, trial_rows
+from kinedex.pipelines.ranking.ranking_evaluation import (
+    WRITTEN,
+    Trial,
+    mean_average_precision,
+    names_filter,
+    read_truth,
+    run_trials,
+    trial_rows,
+)
 from kinedex.pipelines.ranking.store_ranking import ranked_templates
 from kinedex.pipelines.templates.learning import read_templates
 from kinedex.storage.formats.labels.formats import ground_truth_files

@@ -7,7 +7,6 @@ import re
 from collections import Counter, defaultdict
 from collections.abc import Container, Iterable, Sequence
 from dataclasses import dataclass
-from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -240,18 +239,15 @@ def _of_files(
     if not patterns:
         return [], (), ()
     rows = {str(row[0]): row[1:] for row in takes.select("name", "take_id", "frames").iter_rows()}
-    placed = placed_files(store, [read_labels(path) for path in _files(store, patterns)])
+    roots = sorted(set(store.takes()["source_root"]))
+    paths = (file for pattern in patterns for file in ground_truth_files(pattern, roots))
+    placed = placed_files(store, [read_labels(path) for path in dict.fromkeys(paths)])
     found = [
         Example(rows[one.take][0], one.take, int(one.start), int(one.stop), rows[one.take][1], one.label, one.where)
         for one in placed.segments
         if one.take in rows and not (one.label == ERROR and one.limb)
     ]
     return found, placed.remarks, placed.unmatched
-
-
-def _files(store: Store, patterns: Sequence[str]) -> list[Path]:
-    roots = sorted(set(store.takes()["source_root"]))
-    return list(dict.fromkeys(file for pattern in patterns for file in ground_truth_files(pattern, roots)))
 
 
 def example_words(store: Store, examples: Iterable[Example]) -> dict[Example, U64]:

@@ -24,9 +24,9 @@ from kinedex.ops.words import ALL_KNOWN, NO_WORD, U64
 from kinedex.pipelines.engine.executors import Executor
 from kinedex.pipelines.templates.clip_checks import clip_remarks
 from kinedex.pipelines.templates.examples import Example, example_words, whole_takes
-from kinedex.pipelines.templates.subclass_template import LEARNED as LEARNED
-from kinedex.pipelines.templates.subclass_template import SubclassTemplate as SubclassTemplate
-from kinedex.pipelines.templates.subclass_template import template_of
+from kinedex.pipelines.templates.stored_templates import LEARNED as LEARNED
+from kinedex.pipelines.templates.stored_templates import SubclassTemplate as SubclassTemplate
+from kinedex.pipelines.templates.stored_templates import template_of
 from kinedex.storage.snapshot.schemas import result_schema
 from kinedex.storage.store.store import Store
 
@@ -166,7 +166,9 @@ def example_clips(store: Store, examples: Iterable[Example]) -> list[TrainingCli
     words = example_words(store, (one for one in examples if one.positive))
     actors = dict(store.takes().select("name", "actor").iter_rows())
     clips = []
-    for subclass, group in groupby(sorted(words, key=_order), key=lambda one: one.label):
+    for subclass, group in groupby(
+        sorted(words, key=lambda one: (one.label, one.take, one.start, one.stop)), key=lambda one: one.label
+    ):
         chosen = list(group)
         known = {one.name: store.known[one.take_id] for one in chosen if one.take_id in store.known}
         who = {one.name: actors[one.take] or "" for one in chosen}
@@ -174,10 +176,6 @@ def example_clips(store: Store, examples: Iterable[Example]) -> list[TrainingCli
         take = {one.name: one.take for one in chosen}
         clips.append(replace(usable, takes=tuple(take[name] for name in usable.names)))
     return clips
-
-
-def _order(one: Example) -> tuple[str, str, int, int]:
-    return one.label, one.take, one.start, one.stop
 
 
 def usable_clips(

@@ -18,24 +18,9 @@ from kinedex.pipelines.templates.examples import interval_of
 from kinedex.storage.store.store import Store
 
 Key = tuple[str, str, int, int]
+"""An annotated interval: take, class, start and stop."""
 
 _MIRRORED = re.compile(r"(\d+) of \d+ clips are those of .* in the mirror")
-
-
-class Hit(Protocol):
-    """An interval [start, stop) of a take with a class, and the subclass whose template found it."""
-
-    @property
-    def take(self) -> str: ...
-    @property
-    def start(self) -> int: ...
-    @property
-    def stop(self) -> int: ...
-    @property
-    def subclass(self) -> str | None: ...
-    @property
-    def key(self) -> Key:
-        """Return take, class, start and stop."""
 
 
 class Learned(Protocol):
@@ -61,7 +46,7 @@ class Example:
 
 
 def nearest_examples(
-    store: Store, hits: Sequence[Hit], templates: Sequence[Learned], progress: Progress = no_progress
+    store: Store, hits: Mapping[Key, str | None], templates: Sequence[Learned], progress: Progress = no_progress
 ) -> dict[Key, Example]:
     """Find the nearest example of each hit.
 
@@ -71,8 +56,8 @@ def nearest_examples(
     ----------
     store : Store
         The store of the takes and the clips.
-    hits : sequence of Hit
-        The hits; their subclass determines the template.
+    hits : mapping of (take, class, start, stop) to str
+        The subclass of each hit, which determines its template; hits without one are left out.
     templates : sequence of Learned
         Learned templates, with the names of their clips.
     progress : callable
@@ -84,11 +69,11 @@ def nearest_examples(
         The nearest example of each hit; hits whose template has no clip in the store are missing.
     """
     clips = {template.subclass: clips_of(store, template) for template in templates}
-    grouped: dict[str, list[Hit]] = defaultdict(list)
-    for hit in hits:
-        if hit.subclass is not None and clips.get(hit.subclass) and hit.stop > hit.start:
-            grouped[hit.subclass].append(hit)
-    used = {hit.take for own in grouped.values() for hit in own}
+    grouped: dict[str, list[Key]] = defaultdict(list)
+    for hit, subclass in hits.items():
+        if subclass is not None and clips.get(subclass) and hit[3] > hit[2]:
+            grouped[subclass].append(hit)
+    used = {take for own in grouped.values() for take, *_ in own}
     used |= {take for name in grouped for take, _, _ in clips[name]}
     words = words_of(store, sorted(used))
     found = {}
@@ -96,11 +81,10 @@ def nearest_examples(
         for name, own in grouped.items():
             chosen = clips[name]
             parts = [words[take][start:stop] for take, start, stop in chosen]
-            near = nearest_clips(
-                parts, [words[hit.take][hit.start : hit.stop] for hit in own], len(store.feature_set.features)
-            )
+            shown = [words[take][start:stop] for take, _, start, stop in own]
+            near = nearest_clips(parts, shown, len(store.feature_set.features))
             for hit, one in zip(own, near, strict=True):
-                found[hit.key] = Example(*chosen[one.clip], one.cost, one.frames)
+                found[hit] = Example(*chosen[one.clip], one.cost, one.frames)
             bar.advance()
     return found
 

@@ -1,10 +1,11 @@
-"""Read templates of a store: list them, look them up by name, read them from files, or make one from a clip."""
+"""Templates of a store: list them, look them up by name, read and write their files, or make one from a clip."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pyarrow as pa
@@ -12,10 +13,10 @@ import pyarrow as pa
 from kinedex.catalog.features import FeatureSet
 from kinedex.catalog.named_template import NamedTemplate
 from kinedex.ops.errors import KinedexError, did_you_mean
+from kinedex.ops.intervals import in_seconds, nearest_frame
 from kinedex.ops.templates.derived_templates import without_unknown
-from kinedex.ops.templates.templates import Kind, learn, quantise
+from kinedex.ops.templates.templates import Kind, Learned, Template, learn, quantise
 from kinedex.ops.words import ALL_KNOWN, NO_WORD, U64
-from kinedex.pipelines.templates.subclass_template import SubclassTemplate, template_of
 from kinedex.storage.snapshot.shown_results import pipeline_of
 from kinedex.storage.store.store import Store
 
@@ -183,7 +184,7 @@ def templates_overview(store: Store, delta: float, stage: str | None = None) -> 
                 "subclass": one.subclass,
                 "kind": one.kind,
                 "columns": len(template),
-                "seconds": round(len(template) / store.rate_hz, 2),
+                "seconds": round(in_seconds(len(template), store.rate_hz), 2),
                 "clips": len(one.clips),
                 "rounds": one.learned.rounds,
                 "last_cost": round(one.learned.costs[-1], 4) if one.learned.costs else None,
@@ -219,7 +220,7 @@ def parse_frame(text: str, rate_hz: float, what: str) -> int:
     """
     number = text.strip()
     try:
-        return round(float(number[:-1]) * rate_hz) if number.endswith("s") else int(number)
+        return nearest_frame(float(number[:-1]), rate_hz) if number.endswith("s") else int(number)
     except (ValueError, OverflowError):
         raise KinedexError(f"{what} must be a frame (45) or seconds (1.5s), got '{text}'") from None
 
@@ -279,7 +280,7 @@ def frame_range(
     last = parse_frame(str(stop), rate_hz, "STOP") if stop is not None else frames
     if not 0 <= first < last <= frames:
         raise KinedexError(
-            f"{take} has {frames} frames ({frames / rate_hz:g} s): expected 0 <= START < STOP <= "
+            f"{take} has {frames} frames ({in_seconds(frames, rate_hz):g} s): expected 0 <= START < STOP <= "
             f"{frames}, got {first} and {last}"
         )
     return first, last
@@ -361,3 +362,61 @@ def template_of_frames(
         template = without_unknown(template, known)
     begin = first + int(valid[0])
     return NamedTemplate(name, template, f"frames {begin} to {begin + len(clip)} of {take}")
+
+
+LEARNED = "learned"
+"""The origin of a template that was learned from clips of its own class."""
+
+
+@dataclass(frozen=True)
+class SubclassTemplate:
+    """A template with its provenance: the names of its clips, its origin, and remarks on the clips."""
+
+    subclass: str
+    kind: Kind
+    learned: Learned
+    clips: tuple[str, ...]
+    origin: str = LEARNED
+    remarks: tuple[str, ...] = ()
+
+
+def template_of(row: dict[str, Any]) -> SubclassTemplate:
+    """Return the template in a row of the results `templates`."""
+    counts = row["feature_weights"]
+    template = Template(
+        np.array(row["values"]).reshape(row["columns"], row["features"]),
+        np.array(row["weights"]),
+        None if counts is None else np.array(counts),
+    )
+    learned = Learned(template, row["rounds"], tuple(row["costs"]), tuple(row["clip_costs"]))
+    return SubclassTemplate(
+        row["subclass"], row["kind"], learned, tuple(row["clips"]), row["origin"], tuple(row["remarks"])
+    )
+
+
+def write_template(made: NamedTemplate, features: FeatureSet, path: Path) -> None:
+    """Write a template file in the format of the path's extension.
+
+    Parameters
+    ----------
+    made : NamedTemplate
+        The template.
+    features : FeatureSet
+        The features of its rows.
+    path : Path
+        A file ending in .yaml, .yml or .csv; a CSV file must be named after the template.
+
+    Raises
+    ------
+    KinedexError
+        The extension is not one of these, a CSV file has another name than the template, or the folder is missing.
+    """
+    from kinedex.catalog.template_files import write_csv, write_yaml  # imported here, as few templates are written
+    from kinedex.pipelines.engine.page_files import write_page
+
+    ending = path.suffix.lower()
+    if ending not in TEMPLATE_ENDINGS:
+        raise KinedexError(f"{path}: a template file ends in .yaml or .csv")
+    if ending == ".csv" and path.stem != made.name:
+        raise KinedexError(f"{path}: a CSV file holds the template that it is named after; call it {made.name}.csv")
+    write_page(write_csv(made.template, features) if ending == ".csv" else write_yaml([made], features), path)

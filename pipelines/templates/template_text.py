@@ -114,5 +114,5 @@ def _sign(values: np.ndarray) -> str:
 def _where(found: Contrast, index: int, sign: int, names: tuple[str, str], rate_hz: float) -> str:
     """Return the times of contradictions in each of the two templates, in seconds."""
     columns = found.path[found.against[:, index] == sign]
-    spans = [(columns[:, side].min() / rate_hz, (columns[:, side].max() + 1) / rate_hz) for side in (0, 1)]
-    return ", ".join(f"{name} {start:.2f}–{stop:.2f} s" for name, (start, stop) in zip(names, spans, strict=True))
+    spans = [[shown_seconds(int(end), rate_hz) for end in (own.min(), own.max() + 1)] for own in columns.T]
+    return ", ".join(f"{name} {start}–{stop} s" for name, (start, stop) in zip(names, spans, strict=True))

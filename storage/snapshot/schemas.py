@@ -8,11 +8,14 @@ from dataclasses import dataclass
 from operator import le
 from typing import Any, Literal
 
+import numpy as np
+import numpy.typing as npt
 import pyarrow as pa
 
 from kinedex.catalog.features import FeatureSet
 from kinedex.catalog.sql.result_views import RESULT_VIEWS
 from kinedex.ops.errors import KinedexError, StoreError, did_you_mean
+from kinedex.ops.intervals import Hit, Interval, in_seconds
 
 FORMAT_VERSION = 4
 """Version of the store's layout; a store of a version that is not in `READ_VERSIONS` is refused."""
@@ -252,6 +255,60 @@ def result_schema(kind: str) -> pa.Schema:
         raise KinedexError(f"no kind of result is named '{kind}'{did_you_mean(kind, RESULT_KINDS)}")
     metadata = {_METADATA + "kind": kind, _METADATA + "format_version": str(FORMAT_VERSION)}
     return _RESULTS[kind].with_metadata(metadata)
+
+
+def ranking_schema() -> pa.Schema:
+    """Return the schema of ranked hits in memory: the columns that are stored, then `mirrored`, for searches of images.
+
+    Hits of keyframe queries have the schema of the results `hits`. Both begin an interval with the same columns.
+    """
+    return result_schema("ranked_hits").append(pa.field("mirrored", pa.bool_()))
+
+
+def hits_table(
+    schema: pa.Schema, takes: pa.Table, starts: npt.NDArray[np.int64], stops: npt.NDArray[np.int64], rate_hz: float,
+    **columns: object,
+) -> pa.Table:  # fmt: skip
+    """Make a table of hits: the form in which stages, the store, Python, SQL, reports and the explorer have them.
+
+    Parameters
+    ----------
+    schema : pyarrow.Schema
+        That of the results `hits`, or `ranking_schema`.
+    takes : pyarrow.Table
+        The id and the name of the take of each hit.
+    starts, stops : int64 array (H,)
+        Half-open ranges of analysis frames.
+    rate_hz : float
+        The analysis rate.
+    **columns
+        The other columns of the schema; `run` is empty unless given.
+    """
+    places = {
+        "take_id": takes.column(0),
+        "take": takes.column(1),
+        "start": starts.astype(np.int32),
+        "stop": stops.astype(np.int32),
+        "start_seconds": in_seconds(starts, rate_hz),
+        "stop_seconds": in_seconds(stops, rate_hz),
+    }
+    return pa.table({"run": pa.repeat("", len(starts)), **places, **columns}, schema=schema)
+
+
+def hits_of(table: pa.Table, named: str = "template") -> list[Hit]:
+    """Return the rows of a table of hits as objects, where a person or a page looks at few.
+
+    Parameters
+    ----------
+    table : pyarrow.Table
+        Rows with take, start, stop, and cost and mirrored where there are any.
+    named : str
+        The column with the name of the template or query.
+    """
+    return [
+        Hit(Interval(row["take"], row["start"], row["stop"]), row[named], row.get("cost"), row.get("mirrored", False))
+        for row in table.to_pylist()
+    ]
 
 
 def result_table(kind: str, rows: Iterable[Mapping[str, Any]], run: str) -> pa.Table:

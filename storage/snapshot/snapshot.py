@@ -88,6 +88,11 @@ class Snapshot:
         return self._pairs("name", "take_id")
 
     @cached_property
+    def take_names(self) -> dict[int, str]:
+        """A dict from take id to name, sorted by name."""
+        return self._pairs("take_id", "name")
+
+    @cached_property
     def take_frames(self) -> dict[int, int]:
         """A dict from take id to number of frames."""
         return self._pairs("take_id", "frames")

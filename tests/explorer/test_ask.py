@@ -14,8 +14,9 @@ from hypothesis import strategies as st
 import kinedex
 from kinedex.catalog.template_files import read_templates
 from kinedex.explorer.keyframes import QueryEntry, model_of, read_text, written
+from kinedex.ops.intervals import Hit, Interval
 from kinedex.ops.templates.templates import quantise
-from kinedex.pipelines.ranking.examples import ChosenInterval, template_of_chosen
+from kinedex.pipelines.ranking.examples import template_of_chosen
 from kinedex.storage.index.builder import build_index
 from kinedex.storage.store.store import Store, open_store
 from tests.explorer.conftest import Connect
@@ -140,7 +141,7 @@ def test_several_examples_are_learned_as_a_template_is(path: Path, opened: Store
 
 
 def test_a_mirrored_hit_is_an_example_by_what_its_mirror_image_shows(opened: Store) -> None:
-    made = template_of_chosen(opened, "kick", [ChosenInterval(opened.take_ids["mirror"], 5, 30, mirrored=True)])
+    made = template_of_chosen(opened, "kick", [Hit(Interval("mirror", 5, 30), mirrored=True)])
     assert quantise(made.named.template, 0.1).value.tolist() == np.repeat(POSES["kick"], 5).tolist()
     assert made.clips == ("mirror of mirror[5:30]",)
 

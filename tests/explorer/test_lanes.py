@@ -25,9 +25,10 @@ from kinedex.explorer.lanes import (
     take_lanes,
     words_of_take,
 )
-from kinedex.explorer.motion import PositionCache, ShownFrames
+from kinedex.explorer.motion import PositionCache
 from kinedex.ops.distances.dtw import distance_curves
 from kinedex.ops.errors import KinedexError, ParameterError
+from kinedex.ops.intervals import Interval
 from kinedex.ops.templates.templates import quantise
 from kinedex.ops.words import NO_WORD
 from kinedex.pipelines.stages.annotate import Annotate
@@ -196,15 +197,15 @@ def test_what_fits_nowhere_or_is_not_there_is_an_error(store: Store) -> None:
 
 
 def test_two_intervals_in_step_have_the_same_words(store: Store) -> None:
-    one, other = ShownFrames(take(store), 0, 60), ShownFrames(take(store, "dan_take01"), 0, 20)
-    found = aligned_intervals(store, ShownFrames(one.take_id, 5, 25), other)
+    one, other = Interval("cat_take01", 0, 60), Interval("dan_take01", 0, 20)
+    found = aligned_intervals(store, Interval(one.take, 5, 25), other)
     assert found["frames"][0] == 0
     assert found["frames"][-1] == 19
     assert found["frames"] == sorted(found["frames"])
     same = aligned_intervals(store, one, one)
     assert (same["cost"], same["frames"]) == (0.0, list(range(60)))
     with pytest.raises(ParameterError, match="the second interval must be 0 <= start < stop"):
-        aligned_intervals(store, one, ShownFrames(one.take_id, 9, 9))
+        aligned_intervals(store, one, Interval(one.take, 9, 9))
     assert MOST_ALIGNED >= 1800
 
 

@@ -14,13 +14,13 @@ from kinedex.explorer.motion import (
     HEADER_BYTES,
     UNKNOWN,
     PositionCache,
-    ShownFrames,
     facing_viewer,
     figures,
     motion_blocks,
     packed,
 )
 from kinedex.ops.errors import KinedexError, ParameterError
+from kinedex.ops.intervals import Interval
 from kinedex.storage.snapshot.parts import FramesWriter
 from kinedex.storage.store.store import Store, open_store
 from kinedex.storage.store.writer import StoreWriter
@@ -103,10 +103,8 @@ def test_a_motion_without_any_known_place_has_unknown_numbers_alone() -> None:
 
 
 def test_figures_have_the_order_of_the_question_and_begin_above_the_origin_facing_the_viewer(store: Store) -> None:
-    near, far = store.take_ids["near"], store.take_ids["far"]
-    answer = figures(
-        PositionCache(), store, [ShownFrames(far, 900, 1000), ShownFrames(near, 0, 20), ShownFrames(far, 3, 4)], 25
-    )
+    asked = [Interval("far", 900, 1000), Interval("near", 0, 20), Interval("far", 3, 4)]
+    answer = figures(PositionCache(), store, asked, 25)
     (count,) = struct.unpack_from("<I", answer)
     place, found = 4, []
     for _ in range(count):
@@ -126,11 +124,10 @@ def test_figures_have_the_order_of_the_question_and_begin_above_the_origin_facin
 
 
 def test_figures_beyond_a_take_and_too_many_of_them_are_refused(store: Store) -> None:
-    near = store.take_ids["near"]
     with pytest.raises(ParameterError, match=r"interval 2 must be 0 <= start < stop <= 90"):
-        figures(PositionCache(), store, [ShownFrames(near, 0, 9), ShownFrames(near, 80, 91)], 25)
+        figures(PositionCache(), store, [Interval("near", 0, 9), Interval("near", 80, 91)], 25)
     with pytest.raises(ParameterError, match="at most 500"):
-        figures(PositionCache(), store, [ShownFrames(near, 0, 9)] * 501, 25)
+        figures(PositionCache(), store, [Interval("near", 0, 9)] * 501, 25)
 
 
 def test_the_cache_keeps_what_fits(store: Store) -> None:

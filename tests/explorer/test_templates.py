@@ -19,8 +19,7 @@ from starlette.testclient import TestClient
 from kinedex.catalog.queries.keyframe_query import WordPattern
 from kinedex.console.terminal import Terminal
 from kinedex.explorer import held_out_truth
-from kinedex.explorer.keyframes import model_of, read_text
-from kinedex.explorer.learned_queries import frames_of_poses
+from kinedex.explorer.keyframes import frames_of_poses, model_of, read_text
 from kinedex.ops.templates.derived_templates import adjusted
 from kinedex.ops.templates.templates import Template
 from kinedex.pipelines.engine.runner import run_pipeline

@@ -14,7 +14,7 @@ from kinedex.explorer.access import Rules
 from kinedex.explorer.application import make_application
 from kinedex.explorer.archive import Archive
 from kinedex.ops.withdrawal import WithdrawnError, check_withdrawn, withdrawn_when
-from kinedex.pipelines.ranking.batch_threads import in_threads
+from kinedex.pipelines.engine.executors import in_threads
 from tests.explorer.conftest import PORT, TOKEN, run
 from tests.pipelines.labelled import long_take, write_store
 

@@ -17,7 +17,7 @@ from kinedex.commands.cli import app
 from kinedex.ops.errors import ConfigError
 from kinedex.ops.words import NO_WORD
 from kinedex.pipelines.stages.learn_templates import LearnTemplates
-from kinedex.pipelines.templates.recipes import Combination
+from kinedex.pipelines.templates.training import Combination
 from tests.pipelines.labelled import BODY, POSES, Line, clip, motion, write_store
 
 CLIPS = [

@@ -119,7 +119,7 @@ def test_the_nearest_example_of_a_hit_is_the_clip_that_it_repeats(store: Store) 
     assert frames[0] == 2
     assert frames[1:7].tolist() == list(range(3, 15, 2))
     mirrored = replace(template, clips=clips[:2], origin="learned, 2 of 2 clips are those of x in the mirror")
-    assert nearest_examples(store, hits, [mirrored]) == {}
+    assert nearest_examples(store, {hit.key: hit.subclass for hit in hits}, [mirrored]) == {}
 
 
 def test_a_take_without_a_timeline_cannot_be_asked_for(store: Store) -> None:

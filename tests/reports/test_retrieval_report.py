@@ -10,8 +10,15 @@ import pytest
 from kinedex.catalog.queries.keyframe_query import SAME_FRAME, Gap, Keyframe, KeyframeQuery
 from kinedex.ops.search.gaps import UNBOUNDED
 from kinedex.pipelines.engine.runner import run_pipeline
-from kinedex.pipelines.ranking.ranking_evaluation import Judged
-from kinedex.pipelines.ranking.stiffness import EVERYWHERE, WRITTEN, Trial, mean_stiffness, stiffened, trial_rows
+from kinedex.pipelines.ranking.ranking_evaluation import (
+    EVERYWHERE,
+    WRITTEN,
+    Judged,
+    Trial,
+    mean_stiffness,
+    stiffened,
+    trial_rows,
+)
 from kinedex.reports.retrieval_page import SIZE, diagrams, mean_of, qualities, retrieval_page, variants
 from kinedex.storage.store.store import open_store
 from tests.pipelines.study import Reading

@@ -7,7 +7,7 @@ from pathlib import Path
 
 from playwright.sync_api import expect
 
-from kinedex.pipelines.ranking.store_ranking import rank_store
+from kinedex.pipelines.ranking.store_ranking import RankingQuestion, rank_store
 from kinedex.storage.store.store import open_store
 from tests.browser.explorer.conftest import Open
 
@@ -55,7 +55,7 @@ def test_a_template_is_edited_by_keys_and_saved(open_page: Open, store: Path, tm
     saved.value.save_as(file)
     assert file.name == "reel.yaml"
     assert "lhand_forwards: 0, rhand_fast: 2.5" in file.read_text()
-    (ranking,) = rank_store(open_store(store), [str(file)], delta=0.05, tau=0.15, top=5).rankings
+    (ranking,) = rank_store(open_store(store), [str(file)], RankingQuestion(0.05, 0.15, 5)).rankings
     assert ranking.name == "reel"
 
     page.reload()

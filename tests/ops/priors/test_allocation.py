@@ -12,14 +12,14 @@ from kinedex.ops.errors import ParameterError
 from kinedex.ops.priors.allocation import allocate, prior_rows
 from kinedex.ops.priors.constraints import Mark
 from kinedex.ops.priors.guard import refuted_frames
-from kinedex.ops.priors.hits import Hit, at_rate, find_hits
+from kinedex.ops.priors.hits import MotionHit, at_rate, find_hits
 from kinedex.ops.priors.motion import Motion
 from kinedex.ops.templates.templates import QuantisedTemplate
 from tests.oracles import allocation as oracle
 
 
-def hit(motion: int, start: int, cost: float, columns: list[float]) -> Hit:
-    return Hit(motion, start, start + len(columns), cost, np.array(columns, np.float64))
+def hit(motion: int, start: int, cost: float, columns: list[float]) -> MotionHit:
+    return MotionHit(motion, start, start + len(columns), cost, np.array(columns, np.float64))
 
 
 FIGURE = [hit(0, 9, 0.01, [1, 2, 4, 5]), hit(0, 3, 0.06, [1, 2, 3, 4, 5])]
@@ -86,7 +86,7 @@ def test_rows_are_runs_of_frames_with_priors_of_one_kind():
 
 
 def test_archive_poses_are_withdrawn_around_the_frames_that_refute_them() -> None:
-    allocation = allocate([Hit(0, 20, 80, 0.01, np.linspace(0, 9, 60))], 100, 0.13)
+    allocation = allocate([MotionHit(0, 20, 80, 0.01, np.linspace(0, 9, 60))], 100, 0.13)
     without = np.full(100, 10.0)
     assert not refuted_frames(allocation, without * 1.04, without, 30.0).any()
     costs = without.copy()

@@ -8,6 +8,7 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
+import pyarrow as pa
 import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
@@ -18,24 +19,26 @@ from kinedex.catalog.queries.keyframe_query import Keyframe, KeyframeQuery
 from kinedex.catalog.queries.query_files import read_query_files
 from kinedex.commands.cli import app
 from kinedex.ops.errors import KinedexError
+from kinedex.ops.intervals import Interval
 from kinedex.ops.ranking.ranking import rank
 from kinedex.ops.templates.templates import QuantisedTemplate
 from kinedex.ops.words import NO_WORD, TakeWords
 from kinedex.pipelines.engine.runner import run_pipeline
 from kinedex.pipelines.evaluation.ground_truth import Manual
-from kinedex.pipelines.ranking import batch_ranking, first_thresholds, ranking
-from kinedex.pipelines.ranking.both_sides import mirrored_template, rank_both_sides
-from kinedex.pipelines.ranking.ranked_hits import Hit, RankedTemplate, ranking_table
-from kinedex.pipelines.ranking.ranking import rank_takes
+from kinedex.pipelines.ranking import candidate_granules, ranking
+from kinedex.pipelines.ranking.ranked_hits import RankedTemplate, Ranking, ranking_table
+from kinedex.pipelines.ranking.ranking import mirrored_template, rank_both_sides, rank_takes
 from kinedex.pipelines.ranking.ranking_evaluation import (
+    EVERYWHERE,
+    WRITTEN,
     Judged,
+    Trial,
     judge_clips,
     judge_hits,
     mean_average_precision,
     recall_at_tau,
 )
-from kinedex.pipelines.ranking.stiffness import EVERYWHERE, WRITTEN, Trial
-from kinedex.pipelines.ranking.store_ranking import rank_store
+from kinedex.pipelines.ranking.store_ranking import RankingQuestion, rank_store
 from kinedex.pipelines.stages import evaluate_ranking, vary_stiffness
 from kinedex.pipelines.stages.evaluate_ranking import EvaluateRanking
 from kinedex.pipelines.stages.rank import Rank
@@ -60,15 +63,16 @@ def example(store: Store, take: str, start: int, stop: int) -> QuantisedTemplate
     return QuantisedTemplate(np.full(len(words), (1 << 40) - 1, np.uint64), words)
 
 
+def rows(ranking: Ranking, *names: str) -> list[tuple[object, ...]]:
+    """Return some columns of the hits of a ranking, a tuple for each hit."""
+    return list(zip(*(ranking.hits.column(name).to_pylist() for name in names), strict=True))
+
+
 def test_a_stretch_of_a_take_is_found_first_and_the_order_is_that_of_one_long_list(store: Store):
     template = example(store, "x_c", 10, 40)
     (found,) = rank_takes(store, [RankedTemplate("c", template)], 0.4, workers=1)
-    assert (found.hits[0].take, found.hits[0].start, found.hits[0].stop, found.hits[0].cost) == (
-        "x_c",
-        10,
-        38,
-        0.0,
-    )  # the last three frames are alike
+    # the last three frames are alike
+    assert rows(found, "take", "start", "stop", "cost")[0] == ("x_c", 10, 38, 0.0)
     words = store.words()
     names = dict(store.takes().select("take_id", "name").iter_rows())
     whole = rank(template, words, 0.4)
@@ -76,24 +80,24 @@ def test_a_stretch_of_a_take_is_found_first_and_the_order_is_that_of_one_long_li
         (names[words.take_ids[take]], start, stop)
         for take, start, stop in zip(whole.takes.tolist(), whole.starts.tolist(), whole.stops.tolist(), strict=True)
     ]
-    assert [(hit.take, hit.start, hit.stop) for hit in found.hits] == expected
+    assert rows(found, "take", "start", "stop") == expected
     assert found.frames == found.searched == len(words.words)
 
 
 def test_threads_and_batches_change_nothing(store: Store, monkeypatch: pytest.MonkeyPatch):
     searched = [RankedTemplate("c", example(store, "x_c", 10, 40)), RankedTemplate("e", example(store, "x_e", 0, 25))]
-    plain = ranking_table(rank_takes(store, searched, 0.4, workers=1), store.rate_hz)
+    plain = ranking_table(rank_takes(store, searched, 0.4, workers=1))
     monkeypatch.setattr(ranking, "BATCH_FRAMES", 100)
     for workers in (1, 2, 3):
-        assert ranking_table(rank_takes(store, searched, 0.4, workers=workers), store.rate_hz) == plain
+        assert ranking_table(rank_takes(store, searched, 0.4, workers=workers)) == plain
     few = rank_takes(store, searched, 0.4, top=2, workers=2)
     for one in few:
         all_hits = [row for row in plain.to_pylist() if row["template"] == one.name]
-        assert [hit.take for hit in one.hits] == [row["take"] for row in all_hits[:2]]
+        assert one.hits.column("take").to_pylist() == [row["take"] for row in all_hits[:2]]
     for top in range(1, 12):  # whatever the last hit costs that is kept, equal costs included
         for one in rank_takes(store, searched, 0.4, top=top, workers=1):
             all_hits = [row for row in plain.to_pylist() if row["template"] == one.name]
-            assert [(hit.take, hit.start, hit.cost) for hit in one.hits] == [
+            assert rows(one, "take", "start", "cost") == [
                 (row["take"], row["start"], row["cost"]) for row in all_hits[:top]
             ]
 
@@ -112,13 +116,13 @@ def test_the_best_hits_are_the_head_of_more_where_costs_tie(tmp_path: Path, monk
     ]
     for chosen in (searched, searched[:1]):
         whole = rank_takes(store, chosen, 0.3, workers=1)
-        assert [hit.take for hit in whole[0].hits[:6]] == [f"x_{name}" for name in sorted(names)]
+        assert whole[0].hits.column("take").to_pylist()[:6] == [f"x_{name}" for name in sorted(names)]
         for frames in (1, 60, 90, 200_000):
             monkeypatch.setattr(ranking, "BATCH_FRAMES", frames)
             for top in (1, 2, 3, 4, 5, 10):
                 for workers in (1, 2):
                     few = rank_takes(store, chosen, 0.3, top=top, workers=workers)
-                    assert [one.hits for one in few] == [one.hits[:top] for one in whole]
+                    assert [one.hits for one in few] == [one.hits.slice(0, top) for one in whole]
 
 
 def test_the_seconds_of_reading_and_of_ranking_are_apart_and_what_was_not_tried_is_no_number(store: Store):
@@ -138,12 +142,13 @@ def test_a_filter_that_selects_nothing_is_said(store: Store):
 
 
 def test_an_example_finds_itself_and_equals_the_ranking_by_its_template(store: Store):
-    found = rank_store(store, [template_from_clip(store, "x_c", 10, 40)], tau=0.4, top=None)
-    assert (found.rankings[0].hits[0].take, found.rankings[0].hits[0].cost) == ("x_c", 0.0)
+    asked = RankingQuestion(tau=0.4, top=None)
+    found = rank_store(store, [template_from_clip(store, "x_c", 10, 40)], asked)
+    assert rows(found.rankings[0], "take", "cost")[0] == ("x_c", 0.0)
     made = template_from_clip(store, "x_c", "10", "40", "mine")
-    by_template = rank_store(store, [made], tau=0.4, top=None)
-    assert by_template.rankings[0].hits == found.rankings[0].hits
-    assert found.table().num_rows == len(found.rankings[0].hits)
+    by_template = rank_store(store, [made], asked)
+    assert by_template.table().drop_columns(["template"]) == found.table().drop_columns(["template"])
+    assert found.table().num_rows == len(found.rankings[0])
     anything = replace(made.template, values=np.full_like(made.template.values, 0.5))
     with pytest.raises(KinedexError, match="the template 'mine' is wildcards alone"):
         rank_store(store, [replace(made, template=anything)])
@@ -230,8 +235,10 @@ def manual(take: str, label: str, start: int, stop: int) -> Manual:
 
 def test_a_segment_is_found_once_and_a_second_hit_on_it_is_wrong():
     truth = [manual("a", "kick", 0, 30), manual("a", "punch", 40, 70), manual("b", "kick", 0, 30)]
-    hits = [Hit(1, "a", 2, 28, 0.01), Hit(1, "a", 5, 31, 0.02), Hit(1, "a", 38, 66, 0.03), Hit(2, "b", 0, 20, 0.2)]
-    judged = judge_hits("kick", hits, truth, 0.1)
+    hits = [("a", 2, 28, 0.01), ("a", 5, 31, 0.02), ("a", 38, 66, 0.03), ("b", 0, 20, 0.2)]
+    names = ("take", "start", "stop", "cost")
+    table = pa.Table.from_pylist([dict(zip(names, hit, strict=True)) | {"template": "kick"} for hit in hits])
+    judged = judge_hits("kick", table, truth, 0.1)
     assert judged.relevant == (True, False, False, True)
     assert judged.average_precision == (1 + 2 / 4) / 2
     assert judged.recall == 0.5
@@ -347,17 +354,16 @@ def test_a_mirrored_template_finds_the_other_side(store: Store):
         image.tolist()
     )
     (whole,) = rank_both_sides(store, [one], 0.4, workers=1)
-    assert (whole.hits[0].take, whole.hits[0].start, whole.hits[0].mirrored, whole.hits[0].cost) == ("x_c", 10, True, 0)
-    assert {hit.mirrored for hit in whole.hits} == {True, False}
-    for top in (1, 2, 5, len(whole.hits), len(whole.hits) + 3):
-        assert rank_both_sides(store, [one], 0.4, top, workers=1)[0].hits == whole.hits[:top]
+    assert rows(whole, "take", "start", "mirrored", "cost")[0] == ("x_c", 10, True, 0)
+    assert set(whole.hits.column("mirrored").to_pylist()) == {True, False}
+    for top in (1, 2, 5, len(whole), len(whole) + 3):
+        assert rank_both_sides(store, [one], 0.4, top, workers=1)[0].hits == whole.hits.slice(0, top)
     image_alone = mirrored_template(one, store.feature_set)
     sides = [*rank_takes(store, [one], 0.4, workers=1), *rank_takes(store, [image_alone], 0.4, workers=1)]
-    places = {(hit.take, hit.start, hit.stop, hit.cost) for side in sides for hit in side.hits}
-    assert {(hit.take, hit.start, hit.stop, hit.cost) for hit in whole.hits} <= places
-    for hit in whole.hits:
-        others = [other for other in whole.hits if other.take == hit.take and other is not hit]
-        assert all(hit.stop <= other.start or other.stop <= hit.start for other in others)
+    places = {hit for side in sides for hit in rows(side, "take", "start", "stop", "cost")}
+    assert set(rows(whole, "take", "start", "stop", "cost")) <= places
+    hits = [Interval(*hit) for hit in rows(whole, "take", "start", "stop")]
+    assert not any(hit.overlaps(other) for i, hit in enumerate(hits) for other in hits[:i])
 
 
 def test_without_a_hit_the_nearest_places_are_shown(store: Store, tmp_path: Path):
@@ -426,12 +432,12 @@ def test_hits_are_the_same_with_and_without_what_the_index_excludes(
     asked = [RankedTemplate("clip", QuantisedTemplate(mask, clip & mask))]
     ranked = rank_both_sides if both else rank_takes
     with monkeypatch.context() as patch:
-        for module in (batch_ranking, first_thresholds):
+        for module in (ranking, candidate_granules):
             patch.setattr(module, "sound_index", lambda _: None)
         (plain,) = ranked(repeated, asked, tau, top)
     with monkeypatch.context() as patch:
-        patch.setattr(first_thresholds, "WORTH_FRAMES", 0)
-        patch.setattr(batch_ranking, "MOST_PROMISING", 1.0)
+        patch.setattr(candidate_granules, "WORTH_FRAMES", 0)
+        patch.setattr(ranking, "MOST_PROMISING", 1.0)
         patch.setattr(ranking, "BATCH_FRAMES", 150)
         (found,) = ranked(repeated, asked, tau, top)
     assert found.hits == plain.hits

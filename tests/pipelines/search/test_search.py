@@ -20,8 +20,7 @@ from kinedex.ops.search.inverted_lists import InvertedLists, inverted_lists
 from kinedex.ops.search.keyframe_search import keyframe_list, search_lists
 from kinedex.ops.words import U64, TakeWords, pack
 from kinedex.pipelines.search.bit_slices import sliced_store, sliced_words
-from kinedex.pipelines.search.explanation import explain_search, explain_store
-from kinedex.pipelines.search.inverted_lists import read_lists
+from kinedex.pipelines.search.explanation import explain_search, explain_store, read_lists
 from kinedex.pipelines.search.preselection import preselect, preselect_stored, template_ranges, template_window
 from kinedex.pipelines.search.search import load_query_file, save_hits, search_store
 from kinedex.storage.index.builder import build_index
