@@ -17,8 +17,7 @@ from kinedex.ops.tracking.rays import LEAST_CONFIDENCE
 from kinedex.ops.wording import counted
 from kinedex.pipelines.recordings.runs import earlier_rows
 from kinedex.pipelines.tracking.recordings import StoredRecording, stored_recording
-from kinedex.pipelines.tracking.track_evaluation import LIMBS, poses_of
-from kinedex.pipelines.tracking.tracked_takes import stored_poses
+from kinedex.pipelines.tracking.tracked_takes import LIMBS, poses_of, stored_poses
 from kinedex.pipelines.tracking.work import ESTIMATE
 from kinedex.reports.motions import embed, pack, script_json
 from kinedex.reports.page_environment import page_environment

@@ -150,8 +150,9 @@ class StageContext:
         """Return a progress bar, to be used in a `with` statement."""
         return self.terminal.progress(description, total)
 
-    def say(self, text: str) -> None:
-        """Show one line below the heading of the stage, and log it."""
+    def say(self, *texts: str) -> None:
+        """Show lines below the heading of the stage, and log them."""
         fields = {"pipeline": self.pipeline, "stage": self.stage, "store": str(self.store_path), "run_id": self.run}
-        _log.info("%s", text, extra={**fields, "event": "message"})
-        self.terminal.say(text)
+        for text in texts:
+            _log.info("%s", text, extra={**fields, "event": "message"})
+            self.terminal.say(text)

@@ -9,11 +9,17 @@ from functools import partial
 from pathlib import Path
 from typing import Any, get_args
 
-from pydantic import BaseModel
+from pydantic import BaseModel, ConfigDict
 from pydantic.fields import FieldInfo
 
 from kinedex.catalog.queries.query_files import query_file_paths
 from kinedex.ops.errors import KinedexError
+
+
+class StageParameters(BaseModel):
+    """The base class of parameters of stages; names that it does not know are errors."""
+
+    model_config = ConfigDict(extra="forbid")
 
 
 @dataclass(frozen=True)

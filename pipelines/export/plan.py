@@ -12,7 +12,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from kinedex.ops.distances.near_duplicates import F32, motion_outline, near_duplicates
+from kinedex.ops.arrays import F32
+from kinedex.ops.distances.near_duplicates import motion_outline, near_duplicates
 from kinedex.ops.errors import KinedexError
 from kinedex.ops.intervals import in_seconds
 from kinedex.ops.wording import counted, few

@@ -5,12 +5,12 @@ from __future__ import annotations
 import re
 from typing import Annotated, Any, Literal, Self
 
-from pydantic import AfterValidator, BaseModel, ConfigDict, Field, create_model, field_validator, model_validator
+from pydantic import AfterValidator, Field, create_model, field_validator, model_validator
 
 from kinedex.catalog.limbs import chosen_limbs
 from kinedex.catalog.sensorsets import FASTEST_HZ, SLOWEST_HZ
 from kinedex.ops.errors import KinedexError
-from kinedex.pipelines.engine.file_parameters import NamesFile
+from kinedex.pipelines.engine.file_parameters import NamesFile, StageParameters
 
 Degrees = Annotated[float, Field(ge=0, le=180, allow_inf_nan=False)]
 
@@ -18,10 +18,8 @@ TAUS = tuple(float(tau) for tau in range(5, 121, 5))
 """The thresholds in Figure 7.12 of the thesis, in degrees."""
 
 
-class LimbErrorsParameters(BaseModel):
+class LimbErrorsParameters(StageParameters):
     """The parameters of the stage `limb_errors`."""
-
-    model_config = ConfigDict(extra="forbid")
 
     tau: Literal["auto"] | Degrees = Field(
         45.0,
@@ -43,10 +41,8 @@ class LimbErrorsParameters(BaseModel):
         return self
 
 
-class EvaluateLimbErrorsParameters(BaseModel):
+class EvaluateLimbErrorsParameters(StageParameters):
     """The parameters of the stage `evaluate_limb_errors`."""
-
-    model_config = ConfigDict(extra="forbid")
 
     ground_truth: Annotated[str | None, NamesFile("data")] = Field(
         None,
@@ -67,10 +63,8 @@ class EvaluateLimbErrorsParameters(BaseModel):
         return sorted(set(taus))
 
 
-class ReadImuParameters(BaseModel):
+class ReadImuParameters(StageParameters):
     """The parameters of the stage `read_imu`."""
-
-    model_config = ConfigDict(extra="forbid")
 
     source: Annotated[str, NamesFile("data")] = Field(
         min_length=1, description="the folder of recordings, with sensor files at any depth"
@@ -106,10 +100,8 @@ class ReadImuParameters(BaseModel):
 Seconds = Annotated[float, Field(allow_inf_nan=False)]
 
 
-class SynchroniseParameters(BaseModel):
+class SynchroniseParameters(StageParameters):
     """The parameters of the stage `synchronise`."""
-
-    model_config = ConfigDict(extra="forbid")
 
     offset_s: Literal["auto"] | Seconds = Field(
         "auto", description="what is added to a take's time to get the sensor's, in seconds; found unless given"
@@ -122,10 +114,8 @@ class SynchroniseParameters(BaseModel):
     )
 
 
-class CalibrationSettings(BaseModel):
+class CalibrationSettings(StageParameters):
     """The settings of a calibration; those named by Python keywords are fields of `CalibrateParameters` only."""
-
-    model_config = ConfigDict(extra="forbid")
 
     wearing: list[str] = Field(
         ["actor"],
@@ -191,10 +181,8 @@ Limbs = Annotated[list[str], AfterValidator(known_limbs)]
 """Names of limbs or of groups of them."""
 
 
-class LimbOrientationsParameters(BaseModel):
+class LimbOrientationsParameters(StageParameters):
     """The parameters of the stage `limb_orientations`."""
-
-    model_config = ConfigDict(extra="forbid")
 
     where: str | None = Field(
         None,
@@ -212,10 +200,8 @@ class LimbOrientationsParameters(BaseModel):
         return chosen_limbs(self.limbs)
 
 
-class SimulateImuParameters(BaseModel):
+class SimulateImuParameters(StageParameters):
     """The parameters of the stage `simulate_imu`."""
-
-    model_config = ConfigDict(extra="forbid")
 
     where: str = Field("true", description="SQL filter over the columns of takes: those that wear sensors")
     limbs: Limbs = Field(
@@ -244,10 +230,8 @@ class SimulateImuParameters(BaseModel):
     declination_deg: float = Field(0.0, ge=-180, le=180, description="degrees from X of F_GI to magnetic north")
 
 
-class BreakTrackParameters(BaseModel):
+class BreakTrackParameters(StageParameters):
     """The parameters of the stage `break_track`, which puts simulated tracking errors into the limbs of takes."""
-
-    model_config = ConfigDict(extra="forbid")
 
     where: str = Field("true", description="SQL filter over the columns of takes: those that are broken")
     limbs: Limbs = Field(

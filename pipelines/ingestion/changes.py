@@ -20,7 +20,6 @@ from kinedex.catalog.skeletons.mappings import Mappings
 from kinedex.ops.errors import KinedexError, SourceError
 from kinedex.pipelines.engine.code_digest import code_digest, part_digest, plugin_digest
 from kinedex.pipelines.ingestion.analysis import analyse, blind, judged, known_features
-from kinedex.pipelines.ingestion.described_takes import EVERYWHERE, NO_PATTERN
 from kinedex.pipelines.ingestion.failures import Failure, failure, refusal
 from kinedex.pipelines.ingestion.file_batches import Task
 from kinedex.pipelines.ingestion.known_files import (
@@ -35,6 +34,7 @@ from kinedex.pipelines.ingestion.known_files import (
     file_names,
     person_name,
 )
+from kinedex.pipelines.ingestion.metadata import EVERYWHERE, NO_PATTERN
 from kinedex.storage.formats.motion.reader import Reader, ReadSettings
 from kinedex.storage.formats.motion.reader_table import persons_of, read_body, readers_by_ending
 from kinedex.storage.formats.motion.sources import PassedOver, Scan, SourceFile, path_groups

@@ -12,9 +12,9 @@ from kinedex.catalog.skeletons.mappings import Mappings
 from kinedex.ops.arrays import F64, U64
 from kinedex.ops.errors import SourceError, StoreError
 from kinedex.pipelines.ingestion.analysis import analyse, body_row
-from kinedex.pipelines.ingestion.described_takes import group_values
 from kinedex.pipelines.ingestion.failures import Failure, failure
 from kinedex.pipelines.ingestion.memory_limit import MemoryShare
+from kinedex.pipelines.ingestion.metadata import group_values
 from kinedex.storage.formats.motion.reader import Body, MotionFile, ReadSettings
 from kinedex.storage.formats.motion.reader_table import persons_of, read_body, reader_of
 from kinedex.storage.formats.motion.sources import SourceFile, checksum

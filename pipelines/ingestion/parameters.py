@@ -8,11 +8,11 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Annotated, Any
 
-from pydantic import BaseModel, ConfigDict, Field, PrivateAttr, field_validator
+from pydantic import Field, PrivateAttr, field_validator
 
 from kinedex.catalog.skeletons.mappings import Mappings, load_mappings
 from kinedex.catalog.skeletons.own_mappings import OwnFile, own_files, with_own
-from kinedex.pipelines.engine.file_parameters import NamesFile
+from kinedex.pipelines.engine.file_parameters import NamesFile, StageParameters
 from kinedex.pipelines.ingestion.known_files import Naming
 from kinedex.pipelines.ingestion.memory_limit import parse_size
 from kinedex.storage.formats.motion.reader import FASTEST_HZ, SLOWEST_HZ, ReadSettings
@@ -21,10 +21,8 @@ from kinedex.storage.snapshot.schemas import GROUP_COLUMN, TakeColumn
 from kinedex.storage.store.store import Store
 
 
-class IngestParameters(BaseModel):
+class IngestParameters(StageParameters):
     """The parameters of the stage `ingest`."""
-
-    model_config = ConfigDict(extra="forbid")
 
     source: Annotated[str, NamesFile("data")] = Field(description="folder that holds the motion files, at any depth")
     skeleton: Annotated[str, NamesFile("skeletons")] = Field(

@@ -8,11 +8,11 @@ from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 
+from kinedex.ops.arrays import F32, F64, I64
 from kinedex.ops.intervals import in_seconds
 from kinedex.ops.maps.clusters import Trait, map_clusters, outline, traits, typical
-from kinedex.ops.maps.interval_numbers import F64, interval_numbers, standardised
-from kinedex.ops.maps.layout import F32, Layout, Progress, map_layout
-from kinedex.ops.words import I64
+from kinedex.ops.maps.interval_numbers import interval_numbers, standardised
+from kinedex.ops.maps.layout import Layout, Progress, map_layout
 from kinedex.pipelines.search.bit_slices import stored_words
 
 if TYPE_CHECKING:

@@ -4,21 +4,19 @@ from __future__ import annotations
 
 from typing import Annotated, Literal
 
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import Field
 
 from kinedex.ops.depth.pose_database import DISTANCE_M
 from kinedex.ops.depth.pose_fit import Form
 from kinedex.ops.depth.tracker import Hypothesis, TrackerSettings
-from kinedex.pipelines.engine.file_parameters import NamesFile
+from kinedex.pipelines.engine.file_parameters import NamesFile, StageParameters
 
 ESTIMATE = "estimate"
 """The value of `body` for a recording whose person's size is estimated from its first second."""
 
 
-class PoseDatabaseParameters(BaseModel):
+class PoseDatabaseParameters(StageParameters):
     """The parameters of the stage `pose_database`."""
-
-    model_config = ConfigDict(extra="forbid")
 
     where: str = Field(
         "class IS NOT NULL",
@@ -32,10 +30,8 @@ class PoseDatabaseParameters(BaseModel):
     )
 
 
-class ReconstructParameters(BaseModel):
+class ReconstructParameters(StageParameters):
     """The parameters of the stage `reconstruct`."""
-
-    model_config = ConfigDict(extra="forbid")
 
     recordings: Annotated[str, NamesFile("file")] = Field(
         min_length=1, description="the recordings file: name → depth images, camera, background, rate, body, truth"

@@ -18,7 +18,7 @@ from kinedex.ops.body.kinematic_chain import forward
 from kinedex.ops.body.pose_fit import fit_poses, measured_body
 from kinedex.ops.depth.pose_distance import COMPARED, END_EFFECTORS, are_ends_found
 from kinedex.ops.errors import KinedexError, did_you_mean
-from kinedex.pipelines.recordings.truth import Truth, at_rate, read_truth
+from kinedex.pipelines.recordings.recorded_takes import Truth, at_rate, read_truth
 from kinedex.storage.formats.depth.recording import recording_truth
 from kinedex.storage.formats.motion.c3d import Markers, parse_c3d
 from kinedex.storage.formats.motion.positions import parse_positions

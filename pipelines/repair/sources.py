@@ -14,8 +14,8 @@ from kinedex.catalog.skeletons.mappings import Mappings
 from kinedex.ops.errors import KinedexError, SourceError, StoreError
 from kinedex.pipelines.ingestion.analysis import stored_figures
 from kinedex.pipelines.ingestion.changes import has_recipe, recipe_of, recipes
-from kinedex.pipelines.ingestion.described_takes import described_columns
 from kinedex.pipelines.ingestion.file_batches import Batch, Task
+from kinedex.pipelines.ingestion.metadata import described_columns
 from kinedex.pipelines.ingestion.parameters import IngestParameters, chosen_mappings
 from kinedex.pipelines.recordings.runs import command_of_take
 from kinedex.storage.formats.motion.sources import Scan, SourceFile, checksum, path_groups, scan

@@ -82,8 +82,7 @@ class Annotate(Stage[AnnotationParameters]):
             )
             known = known_of(store.known, takes["take_id"].to_list())
             remarks = [*annotator.remarks, *calibration.remarks, *params.without_effect(), *annotator.remarks_on(known)]
-            for remark in remarks:
-                context.say(remark)
+            context.say(*remarks)
             context.say(confidence.remark)
             _report_exclusions(context, classes, annotator, queries, learned)
             done = _annotate(context, writer, annotator, takes, params)

@@ -18,7 +18,7 @@ from kinedex.pipelines.inertial.broken_takes import BrokenLabels, break_take
 from kinedex.pipelines.inertial.limb_motion import KIND, limb_pieces, limb_table, limbs_of_rows
 from kinedex.pipelines.inertial.limb_sources import reading_digest
 from kinedex.pipelines.inertial.parameters import BreakTrackParameters
-from kinedex.pipelines.inertial.reused_takes import ReusedTakes
+from kinedex.pipelines.inertial.worn_sensors import ReusedTakes
 from kinedex.storage.snapshot.row_groups import RowGroups
 from kinedex.storage.store.reused_results import stored_fingerprints
 from kinedex.storage.store.store import Store

@@ -12,7 +12,6 @@ from kinedex.pipelines.engine.digests import Reading, hash_of
 from kinedex.pipelines.engine.display import ResultTable
 from kinedex.pipelines.engine.stage import Input, Stage
 from kinedex.pipelines.inertial.parameters import CalibrateParameters, CalibrationSettings
-from kinedex.pipelines.inertial.reused_takes import ReusedTakes, take_tables
 from kinedex.pipelines.inertial.sensor_fits import (
     CALIBRATION,
     calibration_row,
@@ -21,7 +20,7 @@ from kinedex.pipelines.inertial.sensor_fits import (
     fit_tasks,
     fit_together,
 )
-from kinedex.pipelines.inertial.worn_sensors import WornTakes, by_take, stored_clocks
+from kinedex.pipelines.inertial.worn_sensors import ReusedTakes, WornTakes, by_take, stored_clocks, take_tables
 from kinedex.storage.store.store import Store
 
 
@@ -59,8 +58,7 @@ class CalibrateSensors(Stage[CalibrationSettings]):
                 rows += [calibration_row(one) | {"fingerprint": prints[one.take_id]} for one in fits]
                 bar.advance(len({one.take_id for one in fits}))
         reuse.put(CALIBRATION, take_tables(CALIBRATION, rows, reuse.fresh, context.run))
-        for line in _remarks(rows):
-            context.say(line)
+        context.say(*_remarks(rows))
         every = context.open().result(CALIBRATION, stage=context.key()).to_pylist()
         found = [row for row in every if not row["left_out"]]
         if found:

@@ -63,8 +63,7 @@ class CompareMethods(Stage[ComparisonParameters]):
             return {"splits": 0, "methods": len(plan.params.methods)}
         files = _write(context, params, study)
         context.terminal.show(*overview(study))
-        for remark in [*study.remarks, *_remarks(study)]:
-            context.say(remark)
+        context.say(*study.remarks, *_remarks(study))
         context.say(f"report: {(context.store_path / files[0]).resolve()}")
         first = study.splits[0]
         return {

@@ -80,8 +80,7 @@ class Evaluate(Stage[GroundTruthParameters]):
         about = {"pipeline": context.pipeline, "annotate": annotated.model_dump(mode="json"), "remarks": remarks}
         write_metrics(report, evaluation, context.run, **about)
         context.report_unmatched(truth.unmatched)
-        for remark in truth.remarks:
-            context.say(remark)
+        context.say(*truth.remarks)
         few = len(truth.takes) <= MOST_TAKES_SHOWN
         scopes = SCOPES if few else SCOPES[:-1]
         context.terminal.show(

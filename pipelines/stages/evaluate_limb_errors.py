@@ -74,8 +74,7 @@ class EvaluateLimbErrors(Stage[EvaluateLimbErrorsParameters]):
             )
             return {"evaluated_takes": 0}
         counts, placed, remarks = _counted(context, store, labels, params)
-        for remark in remarks:
-            context.say(remark)
+        context.say(*remarks)
         printed = None if params.printed is None else load_printed(params.printed)
         rows = list(metric_rows(counts, printed))
         context.put_results(

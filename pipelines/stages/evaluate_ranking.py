@@ -6,12 +6,13 @@ from collections.abc import Sequence
 from typing import ClassVar
 
 import polars as pl
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import Field
 
 from kinedex.ops.errors import KinedexError, did_you_mean
 from kinedex.ops.templates.templates import Kind, quantise
 from kinedex.pipelines.engine.context import StageContext
 from kinedex.pipelines.engine.digests import files_digest
+from kinedex.pipelines.engine.file_parameters import StageParameters
 from kinedex.pipelines.engine.stage import Input, Stage
 from kinedex.pipelines.ranking.ranked_hits import RankedTemplate
 from kinedex.pipelines.ranking.ranking import rank_takes
@@ -35,10 +36,8 @@ from kinedex.storage.store.store import Store
 NONE = "none"
 
 
-class Params(BaseModel):
+class Params(StageParameters):
     """The parameters of the stage `evaluate_ranking`."""
-
-    model_config = ConfigDict(extra="forbid")
 
     ground_truth: str = Field(
         "**/ground_truth.csv",
@@ -97,8 +96,7 @@ def _takes(context: StageContext, store: Store, params: Params) -> list[Judged]:
     learned = read_templates(store, context.key(context.inputs["templates"]), params.templates)
     truth = read_truth(store, params.ground_truth, params.where, [one.subclass for one in learned])
     context.report_unmatched(truth.unmatched)
-    for remark in truth.remarks:
-        context.say(remark)
+    context.say(*truth.remarks)
     searched = [RankedTemplate(one.subclass, quantise(one.learned.template, params.delta)) for one in learned]
     rankings = rank_takes(store, searched, 1.0, None, f"({params.where}) AND {names_filter(truth.takes)}")
     return [judge_hits(one.name, one.hits, truth.segments, params.tau) for one in rankings]

@@ -17,8 +17,8 @@ from kinedex.pipelines.reconstruction.reconstruction_errors import (
     error_rows,
     stored_reconstruction,
 )
+from kinedex.pipelines.recordings.recorded_takes import TruthParameters, every_take
 from kinedex.pipelines.recordings.runs import earlier_rows
-from kinedex.pipelines.recordings.truth import TruthParameters, every_take
 from kinedex.storage.formats.depth.recording import recording_truth
 from kinedex.storage.snapshot.schemas import result_table
 from kinedex.storage.store.store import Store

@@ -9,17 +9,18 @@ from kinedex.pipelines.engine.context import StageContext
 from kinedex.pipelines.engine.digests import Reading, files_digest
 from kinedex.pipelines.engine.display import ResultTable
 from kinedex.pipelines.engine.stage import Input, Stage
+from kinedex.pipelines.recordings.recorded_takes import TruthParameters, every_take
 from kinedex.pipelines.recordings.runs import earlier_rows
-from kinedex.pipelines.recordings.truth import TruthParameters, every_take
 from kinedex.pipelines.tracking.recordings import stored_rows
-from kinedex.pipelines.tracking.track_evaluation import (
+from kinedex.pipelines.tracking.tracked_takes import (
     SENSORS,
+    STABILISED,
+    TRACKED,
     compared,
     judged_by_sensors,
     poses_of,
     truth_reference,
 )
-from kinedex.pipelines.tracking.tracked_takes import STABILISED, TRACKED
 from kinedex.storage.snapshot.schemas import result_table
 from kinedex.storage.store.store import Store
 

@@ -4,19 +4,18 @@ from __future__ import annotations
 
 from typing import ClassVar
 
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import Field
 
 from kinedex.pipelines.engine.context import StageContext
+from kinedex.pipelines.engine.file_parameters import StageParameters
 from kinedex.pipelines.engine.stage import Input, Stage
 from kinedex.storage.index.builder import build_index
 from kinedex.storage.index.generations import current_generation, read_generation
 from kinedex.storage.store.store import Store
 
 
-class Params(BaseModel):
+class Params(StageParameters):
     """The parameters of the stage `index`."""
-
-    model_config = ConfigDict(extra="forbid")
 
     threads: int | None = Field(None, ge=1, description="threads to use; one for every core unless given")
     memory_mb: int | None = Field(

@@ -25,9 +25,9 @@ from kinedex.pipelines.ingestion.changes import (
     removed_below,
     without_removed,
 )
-from kinedex.pipelines.ingestion.described_takes import NO_PATTERN
 from kinedex.pipelines.ingestion.failures import Failure, failure_messages, log_table
 from kinedex.pipelines.ingestion.metadata import (
+    NO_PATTERN,
     Metadata,
     descriptions,
     join_lines,
@@ -177,8 +177,7 @@ def _describe(
         for row in descriptions(params, joined).changed(here, writer.columns)
     ]
     writer.restate_takes(pa.Table.from_pylist(changed, schema=schema), described=True)
-    for line in join_lines(metadata, joined):
-        context.say(line)
+    context.say(*join_lines(metadata, joined))
     if changed:
         context.say(f"{counted(len(changed), 'take')} described anew by patterns or metadata; no file was read for it")
     if (beside := lies_in_source(root, params.tables)) is not None:
@@ -204,13 +203,11 @@ def _declare_columns(context: StageContext, writer: StoreWriter, params: IngestP
             )
     writer.declare_columns(columns)
     of_tables, problems = metadata.columns(writer.columns)
-    for sentence in problems:
-        context.say(sentence)
+    context.say(*problems)
     writer.declare_columns({name: column for name, column in of_tables.items() if name not in writer.columns})
     writer.widen_columns({name: column.type for name, column in of_tables.items()})
     figures, problems = declarable_figures(writer.columns)
-    for sentence in problems:
-        context.say(sentence)
+    context.say(*problems)
     writer.declare_columns(figures)
 
 
@@ -242,8 +239,7 @@ def _report_changes(context: StageContext, params: IngestParameters, found: Scan
     )
     if found.skeletons:
         context.say(counted(len(found.skeletons), "skeleton file"))
-    for line in [*found.unread_lines(), *found.passed_over_lines()]:
-        context.say(line)
+    context.say(*found.unread_lines(), *found.passed_over_lines())
     if plan.by_path:
         path, name = next(iter(plan.by_path.items()))
         context.say(
@@ -304,8 +300,7 @@ def _named_otherwise(plan: Changes) -> NewStoreError:
 
 
 def _report_failures(context: StageContext, failures: Sequence[Failure]) -> None:
-    for line in failure_messages(failures):
-        context.say(line)
+    context.say(*failure_messages(failures))
 
 
 def _report_read(context: StageContext, names: Collection[str]) -> None:

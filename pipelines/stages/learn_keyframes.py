@@ -46,8 +46,7 @@ class LearnKeyframes(Stage[KeyframeParameters]):
                 f"keyframe queries tell classes apart, so clips of at least two are needed; the filter "
                 f"`{params.where}` selects those of {clips[0].subclass} only"
             )
-        for remark in [*found.remarks, *(f"{one.subclass}: {remark}" for one in clips for remark in one.remarks)]:
-            context.say(remark)
+        context.say(*found.remarks, *(f"{one.subclass}: {remark}" for one in clips for remark in one.remarks))
         wanted = training_sets(clips, load_classes(params.classes, [one.subclass for one in clips]), rejected)
         bare = [one.subclass for one in wanted if not one.negatives]
         if bare:

@@ -39,8 +39,7 @@ class LearnTemplates(Stage[TemplateParameters]):
         material = training_material(store, params)
         clips = material.clips
         context.report_unmatched(material.unmatched)
-        for remark in material.remarks:
-            context.say(remark)
+        context.say(*material.remarks)
         if material.unused:
             context.say(f"templates from files, so their clips are not learned from: {few(material.unused)}")
         features = len(store.feature_set.features)

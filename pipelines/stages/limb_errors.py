@@ -23,9 +23,8 @@ from kinedex.pipelines.inertial.limb_error_curves import (
     take_errors,
 )
 from kinedex.pipelines.inertial.parameters import LimbErrorsParameters
-from kinedex.pipelines.inertial.reused_takes import ReusedTakes, take_tables
 from kinedex.pipelines.inertial.sensor_fits import stored_calibrations
-from kinedex.pipelines.inertial.worn_sensors import WornTakes, by_take, stored_clocks
+from kinedex.pipelines.inertial.worn_sensors import ReusedTakes, WornTakes, by_take, stored_clocks, take_tables
 from kinedex.storage.store.store import Store
 
 

@@ -22,7 +22,7 @@ from kinedex.pipelines.inertial.limb_sources import (
     with_stored_body,
 )
 from kinedex.pipelines.inertial.parameters import LimbOrientationsParameters
-from kinedex.pipelines.inertial.reused_takes import ReusedTakes
+from kinedex.pipelines.inertial.worn_sensors import ReusedTakes
 from kinedex.storage.store.store import Store
 
 

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from typing import Annotated, ClassVar
 
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import Field
 
 from kinedex.catalog.queries.query_files import query_file_paths, read_query_files
 from kinedex.catalog.template_files import NamedTemplate
@@ -15,7 +15,7 @@ from kinedex.ops.templates.templates import Kind
 from kinedex.pipelines.engine.context import StageContext
 from kinedex.pipelines.engine.digests import files_digest
 from kinedex.pipelines.engine.display import ResultTable
-from kinedex.pipelines.engine.file_parameters import NamesFile
+from kinedex.pipelines.engine.file_parameters import NamesFile, StageParameters
 from kinedex.pipelines.engine.stage import Input, Stage
 from kinedex.pipelines.ranking.ranked_hits import RankedTemplate, Ranking, ranking_table
 from kinedex.pipelines.ranking.ranking import partly_known, rank_takes
@@ -28,10 +28,8 @@ from kinedex.pipelines.templates.learning import read_templates
 from kinedex.storage.store.store import Store
 
 
-class Params(BaseModel):
+class Params(StageParameters):
     """The parameters of the stage `rank`."""
-
-    model_config = ConfigDict(extra="forbid")
 
     where: str = Field("class IS NULL", description="takes to rank: a SQL filter over the columns of takes")
     templates: Kind = Field("soft", description="which of the learned templates: soft or hard")
@@ -65,8 +63,7 @@ class Rank(Stage[Params]):
         names = dict(store.takes(params.where).select("take_id", "name").iter_rows())
         known = known_of(store.known, names)
         partly = partly_known(searched, store.feature_set, known)
-        for remark in [*remarks, *remarks_on(partly, known)]:
-            context.say(remark)
+        context.say(*remarks, *remarks_on(partly, known))
         rankings = _rank(context, store, searched, params)
         table = ranking_table(rankings, context.run)
         lists = _lists(store, searched, params.where)

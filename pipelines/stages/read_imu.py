@@ -89,8 +89,7 @@ class ReadImu(Stage[ReadImuParameters]):
                 f"{few}; `columns:` of a file of sensors names others"
             )
         failures = list(dict.fromkeys(failures))  # one file may belong to the recordings of several takes
-        for line in failure_messages(failures):
-            context.say(line)
+        context.say(*failure_messages(failures))
         if not done and not unchanged:
             raise KinedexError("no recording could be read; the reasons are above (table ingest_log)")
         _show(context, len(unchanged))
@@ -125,8 +124,7 @@ def _show(context: StageContext, unchanged: int) -> None:
     stored: list[dict[str, Any]] = earlier_rows(context.open(), "imu_recordings", context.key())
     rows = [row for row in stored if row["limb"] is not None]
     warnings = [f"{row['file']}: warning: {row['sensor']}: {text}" for row in rows for text in row["warnings"]]
-    for line in warnings[:_MOST_WARNINGS]:
-        context.say(line)
+    context.say(*warnings[:_MOST_WARNINGS])
     if len(warnings) > _MOST_WARNINGS:
         context.say(
             f"and {counted(len(warnings) - _MOST_WARNINGS, 'warning')} more (column warnings of imu_recordings)"

@@ -65,8 +65,7 @@ class SimulateImu(Stage[SimulateImuParameters]):
         files = sorted(path.relative_to(context.store_path).as_posix() for path in folder.rglob("*") if path.is_file())
         number = counted(len(made.recordings), "take")
         context.say(f"{number}, {made.seconds:,.1f} s, {made.samples:,} samples: {folder.resolve()}")
-        for remark in made.remarks():
-            context.say(remark)
+        context.say(*made.remarks())
         return {
             "takes": len(made.recordings),
             "seconds": round(made.seconds, 3),

@@ -13,9 +13,8 @@ from kinedex.pipelines.engine.digests import Reading, hash_of
 from kinedex.pipelines.engine.display import ResultTable
 from kinedex.pipelines.engine.stage import Input, Stage
 from kinedex.pipelines.inertial.parameters import SynchroniseParameters
-from kinedex.pipelines.inertial.reused_takes import ReusedTakes, take_tables
 from kinedex.pipelines.inertial.synchronisation import LEAST_DRIFT_S, sync_row, synchronise
-from kinedex.pipelines.inertial.worn_sensors import SYNC, WornTake, WornTakes
+from kinedex.pipelines.inertial.worn_sensors import SYNC, ReusedTakes, WornTake, WornTakes, take_tables
 from kinedex.storage.store.store import Store
 
 

@@ -9,9 +9,9 @@ from kinedex.pipelines.engine.context import StageContext
 from kinedex.pipelines.engine.digests import Reading, hash_of
 from kinedex.pipelines.engine.stage import Input, Stage
 from kinedex.pipelines.recordings.runs import Place, are_takes_there, renew_index
-from kinedex.pipelines.tracking.bodies import archive_body
 from kinedex.pipelines.tracking.parameters import ObserveParameters, TrackParameters
 from kinedex.pipelines.tracking.runs import track
+from kinedex.pipelines.tracking.work import archive_body
 from kinedex.storage.snapshot.schemas import RECORDED_FORMATS
 from kinedex.storage.store.store import Store
 

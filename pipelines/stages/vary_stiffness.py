@@ -6,7 +6,7 @@ import math
 from collections.abc import Sequence
 from typing import Annotated, ClassVar
 
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import Field
 
 from kinedex.catalog.queries.query_files import query_file_paths, read_query_files
 from kinedex.catalog.template_files import NamedTemplate
@@ -15,6 +15,7 @@ from kinedex.ops.templates.templates import Kind
 from kinedex.pipelines.engine.context import StageContext
 from kinedex.pipelines.engine.digests import files_digest
 from kinedex.pipelines.engine.display import ResultTable
+from kinedex.pipelines.engine.file_parameters import StageParameters
 from kinedex.pipelines.engine.stage import Input, Stage
 from kinedex.pipelines.ranking.ranking_evaluation import (
     WRITTEN,
@@ -31,10 +32,8 @@ from kinedex.storage.formats.labels.formats import ground_truth_files
 from kinedex.storage.store.store import Store
 
 
-class Params(BaseModel):
+class Params(StageParameters):
     """The parameters of the stage `vary_stiffness`."""
-
-    model_config = ConfigDict(extra="forbid")
 
     ground_truth: str = Field("**/ground_truth.csv", description="as in `evaluate_ranking`")
     where: str = Field("class IS NULL", description="takes to rank: a SQL filter over the columns of takes")

@@ -13,6 +13,7 @@ import pyarrow as pa
 from kinedex.catalog.classes import Classes
 from kinedex.catalog.features import FeatureSet
 from kinedex.catalog.kinematics import load_kinematic_chain
+from kinedex.ops.arrays import U64
 from kinedex.ops.body.kinematic_chain import Poses
 from kinedex.ops.body.mirrored_motion import mirrored_places
 from kinedex.ops.body.pose_fit import fit_poses, measured_body
@@ -23,7 +24,7 @@ from kinedex.ops.priors.constraints import template_marks
 from kinedex.ops.priors.motion import Motion
 from kinedex.ops.templates.templates import Template, quantise
 from kinedex.ops.wording import few
-from kinedex.ops.words import NO_WORD, U64
+from kinedex.ops.words import NO_WORD
 from kinedex.pipelines.engine.executors import Executor
 from kinedex.pipelines.templates.examples import interval_of
 from kinedex.pipelines.templates.learning import SubclassTemplate, TrainingClips

@@ -5,23 +5,21 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Annotated, Literal
 
-from pydantic import BaseModel, ConfigDict, Field, ValidationError
+from pydantic import Field, ValidationError
 
 from kinedex.ops.errors import KinedexError
 from kinedex.ops.priors.guard import GUARD
 from kinedex.ops.priors.stabilise import Settings
 from kinedex.ops.templates.templates import Kind
 from kinedex.ops.tracking.take_tracker import Loss
-from kinedex.pipelines.engine.file_parameters import NamesFile
+from kinedex.pipelines.engine.file_parameters import NamesFile, StageParameters
 from kinedex.pipelines.tracking.chain_tracker import TrackSettings
 
 Priors = Literal["archive", "pose", "logical"]
 
 
-class ObserveParameters(BaseModel):
+class ObserveParameters(StageParameters):
     """The parameters of the stage `observe`."""
-
-    model_config = ConfigDict(extra="forbid")
 
     recordings: Annotated[str, NamesFile("file")] = Field(
         min_length=1, description="the recordings file: name → files, calibration, rate, body, truth"
@@ -29,10 +27,8 @@ class ObserveParameters(BaseModel):
     only: list[str] = Field([], description="names of recordings to read; all of the file unless given")
 
 
-class TrackParameters(BaseModel):
+class TrackParameters(StageParameters):
     """The parameters of the stage `track`."""
-
-    model_config = ConfigDict(extra="forbid")
 
     tracker: Literal["take", "frames"] = Field(
         "take",
@@ -52,10 +48,8 @@ class TrackParameters(BaseModel):
         return TrackSettings(self.tracker, self.loss, self.sigma_px or measured_px)
 
 
-class PriorParameters(BaseModel):
+class PriorParameters(StageParameters):
     """The parameters of priors."""
-
-    model_config = ConfigDict(extra="forbid")
 
     templates: Kind = Field("soft", description="which of the learned templates: soft or hard")
     delta: float = Field(0.05, ge=0, lt=0.5, description="template values within delta of 0 or 1 count")

@@ -37,7 +37,6 @@ from kinedex.pipelines.templates.learning import SubclassTemplate, TrainingClips
 from kinedex.pipelines.templates.stored_templates import stored_templates
 from kinedex.pipelines.templates.training import TemplateParameters, training_material
 from kinedex.pipelines.tracking.archive_motions import PosesOfArchive, archive_motions, archive_poses, poses_table
-from kinedex.pipelines.tracking.bodies import archive_body
 from kinedex.pipelines.tracking.parameters import ObserveParameters, StabiliseParameters, TrackParameters
 from kinedex.pipelines.tracking.recordings import (
     RECORDING_KINDS,
@@ -47,7 +46,14 @@ from kinedex.pipelines.tracking.recordings import (
     stored_rows,
 )
 from kinedex.pipelines.tracking.tracked_takes import TRACKED, stabilised_name
-from kinedex.pipelines.tracking.work import StabiliseTask, TrackTask, stabilise_take, track_recording, tracked_row
+from kinedex.pipelines.tracking.work import (
+    StabiliseTask,
+    TrackTask,
+    archive_body,
+    stabilise_take,
+    track_recording,
+    tracked_row,
+)
 from kinedex.storage.lock import NO_WAIT, Wait
 from kinedex.storage.store.store import Store, open_store
 from kinedex.storage.store.writer import StoreWriter

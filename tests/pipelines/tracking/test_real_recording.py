@@ -13,8 +13,7 @@ from kinedex.commands.cli import app
 from kinedex.ops.body.kinematic_chain import ChainBody, forward
 from kinedex.ops.tracking.triangulation import triangulate
 from kinedex.pipelines.tracking.recordings import stored_recording
-from kinedex.pipelines.tracking.track_evaluation import LIMBS, compared, poses_of, truth_reference
-from kinedex.pipelines.tracking.tracked_takes import stored_poses
+from kinedex.pipelines.tracking.tracked_takes import LIMBS, compared, poses_of, stored_poses, truth_reference
 from kinedex.storage.store.store import open_store
 
 
