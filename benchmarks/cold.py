@@ -5,7 +5,7 @@ from __future__ import annotations
 import sys
 import time
 
-from kinedex.catalog.queries.query_files import read_queries
+from kinedex.catalog.queries.query_reader import read_queries
 from kinedex.pipelines.search.search import search_store
 from kinedex.storage.store.store import open_store
 

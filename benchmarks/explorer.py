@@ -15,7 +15,7 @@ from benchmarks.explorer_archive import hundred_hours
 from benchmarks.harness import Figure, calibrate, seconds, show, sized
 from benchmarks.rivals import sql
 from kinedex.catalog.queries.keyframe_query import KeyframeQuery
-from kinedex.catalog.queries.query_files import read_queries
+from kinedex.catalog.queries.query_reader import read_queries
 from kinedex.console.terminal import make_console
 from kinedex.ops.distances.dtw import distance_curves
 from kinedex.ops.templates.templates import quantise

@@ -30,7 +30,7 @@ from benchmarks.archive import store as small_store
 from benchmarks.harness import sized
 from kinedex.catalog.features import FeatureSet
 from kinedex.ops.body import features
-from kinedex.ops.body.mirrored_motion import mirrored_places, mirrored_quaternions
+from kinedex.ops.body.facing_direction import mirrored_places, mirrored_quaternions
 from kinedex.pipelines.engine.executors import cores, make_executor
 from kinedex.storage.formats.labels.formats import read_labels
 from kinedex.storage.index.builder import build_index

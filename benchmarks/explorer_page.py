@@ -51,7 +51,7 @@ from benchmarks.explorer_browser import (
 )
 from benchmarks.harness import LEFT_OUT, Figure, calibrate, seconds, show, silent, sized, write
 from benchmarks.rivals import sql
-from kinedex.catalog.queries.query_files import read_queries
+from kinedex.catalog.queries.query_reader import read_queries
 from kinedex.catalog.queries.query_writer import write_queries
 from kinedex.console.terminal import make_console
 from kinedex.explorer.application import BUILT

@@ -13,7 +13,7 @@ import polars as pl
 
 from benchmarks.archive import BUILD
 from benchmarks.harness import Figure, seconds, silent, sized
-from kinedex.ops.synth.actors import Actor, cast
+from kinedex.ops.synth.body import Actor, cast
 from kinedex.ops.synth.performance import perform_take
 from kinedex.ops.synth.solve import columns
 from kinedex.pipelines.engine.runner import run_pipeline

@@ -5,13 +5,14 @@ from __future__ import annotations
 import numpy as np
 
 from benchmarks.harness import Figure, seconds, sized
+from kinedex.ops.arrays import U64
 from kinedex.ops.keyframes.fitness import training_frames
 from kinedex.ops.keyframes.genetic_algorithm import evolve
 from kinedex.ops.keyframes.training_task import EvolutionSettings, TrainingTask, make_training_task
 from kinedex.ops.search.inverted_lists import inverted_lists
 from kinedex.ops.search.keyframe_search import keyframe_list, search_lists
 from kinedex.ops.templates.templates import learn_soft, quantise
-from kinedex.ops.words import U64, TakeWords
+from kinedex.ops.words import TakeWords
 from kinedex.storage.store.store import Store
 
 CLASSES, CLIPS, FRAMES = sized((69, 9, 42_586), (9, 9, 5_554))

@@ -5,8 +5,9 @@ from __future__ import annotations
 import numpy as np
 
 from benchmarks.harness import Figure, seconds, sized
+from kinedex.ops.arrays import U64
 from kinedex.ops.templates.templates import learn
-from kinedex.ops.words import U64, bits
+from kinedex.ops.words import bits
 from kinedex.storage.store.store import Store
 from tests.oracles import warping as naive
 

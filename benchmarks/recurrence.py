@@ -13,8 +13,9 @@ import numpy as np
 
 from benchmarks.harness import Figure, calibrate, seconds, show
 from kinedex.console.terminal import make_console
+from kinedex.ops.arrays import U8
 from kinedex.ops.distances.recurrence import COARSE_CAP, coarse_path_cost
-from kinedex.ops.distances.stripes import SLOTS, U8, aligned_bytes
+from kinedex.ops.distances.stripes import SLOTS, aligned_bytes
 
 ROWS, FRAMES, WORDS = 80, 20_000, 500
 

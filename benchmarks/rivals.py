@@ -6,11 +6,11 @@ import numpy as np
 from numba import njit
 
 from kinedex.catalog.queries.keyframe_query import KeyframeQuery
+from kinedex.ops.arrays import I64
 from kinedex.ops.errors import ParameterError
 from kinedex.ops.ranges import extend_and_unite
 from kinedex.ops.search.gaps import UNBOUNDED
 from kinedex.ops.search.segments import TAKE_BITS
-from kinedex.ops.words import I64
 
 _ROOM = 4_000_000
 

@@ -28,14 +28,15 @@ from benchmarks.indexing import store_of_words
 from benchmarks.rivals import recursion, sql
 from kinedex.catalog.features import FeatureSet
 from kinedex.catalog.queries.keyframe_query import KeyframeQuery, word_pattern
-from kinedex.catalog.queries.query_files import read_queries
+from kinedex.catalog.queries.query_reader import read_queries
 from kinedex.catalog.queries.query_writer import write_queries
+from kinedex.ops.arrays import I64
 from kinedex.ops.search.bit_slice_search import search_slices
 from kinedex.ops.search.bit_slices import BitSlices, slice_words
 from kinedex.ops.search.inverted_lists import InvertedLists, inverted_lists
 from kinedex.ops.search.keyframe_search import keyframe_list, search_lists
 from kinedex.ops.search.runs import word_runs
-from kinedex.ops.words import I64, TakeWords
+from kinedex.ops.words import TakeWords
 from kinedex.pipelines.search.bit_slices import sliced_words
 from kinedex.storage.index.builder import build_index
 from kinedex.storage.store.store import Store

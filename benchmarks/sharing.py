@@ -14,7 +14,7 @@ import numpy as np
 
 from benchmarks.harness import Figure
 from benchmarks.indexing import HOURS, twenty_hours
-from kinedex.catalog.queries.query_files import read_queries
+from kinedex.catalog.queries.query_reader import read_queries
 from kinedex.ops.words import TakeWords
 from kinedex.pipelines.search.bit_slices import sliced_store, sliced_words
 from kinedex.storage.index.builder import build_index

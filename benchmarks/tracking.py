@@ -20,9 +20,9 @@ from kinedex.ops.body.pose_fit import measured_body
 from kinedex.ops.cameras.projection import camera_centre, pixel_directions
 from kinedex.ops.simulation.recording import Setup, simulated_recording, take_generators
 from kinedex.ops.tracking.band import Band, assemble, make_band, move, solve_band, take_cost
-from kinedex.ops.tracking.blocks import prior_arrays
+from kinedex.ops.tracking.blocks import TrackProblem, prior_arrays
 from kinedex.ops.tracking.first_track import find_start, first_track
-from kinedex.ops.tracking.observations import BodyPoints, Rays
+from kinedex.ops.tracking.observations import BodyPoints, Observed, Rays
 from kinedex.ops.tracking.rays import make_evidence
 from kinedex.ops.tracking.take_tracker import connected_triples, smoothness_weights, track_take
 from kinedex.pipelines.simulation.camera_recordings import limbs_of
@@ -47,8 +47,9 @@ def figures(store: Store) -> list[Figure]:
     _, long_work = gauss_newton_pass(body, points, rays, rate_hz, start)
     short_s, long_s = seconds(short_work, RUNS), seconds(long_work, RUNS)
     lapack, reason = _lapack(short)
-    solve = seconds(lambda: track_take(body, rays, points, rate_hz, start), 3)
-    first = seconds(lambda: first_track(body, rays, points, rate_hz), 3)
+    observed = Observed(body, rate_hz, rays, points)
+    solve = seconds(lambda: track_take(observed, start), 3)
+    first = seconds(lambda: first_track(observed), 3)
     recorded = f"the recording at {RECORDED_HZ:g} Hz"
     return [
         Figure(
@@ -100,7 +101,8 @@ def gauss_newton_pass(
 ) -> tuple[Band, Callable[[], object]]:
     """Return the system of a take at its start, and the work of one pass."""
     frames, evidence = len(start.places), make_evidence(body, rays, points)
-    priors, units = prior_arrays(body, None, frames), np.zeros(rays.confidence.shape)
+    problem = TrackProblem(body.arrays, evidence, prior_arrays(body, None, frames))
+    units = np.zeros(rays.confidence.shape)
     band = make_band(
         body.arrays, np.unique(evidence.nodes), smoothness_weights(body, rate_hz), connected_triples(frames, ())
     )
@@ -108,10 +110,10 @@ def gauss_newton_pass(
     factors = np.empty((frames, len(band.coupled), 2 * len(band.coupled) + 1))
 
     def work() -> float:
-        assemble(body.arrays, evidence, priors, *start, WIDTH, units, True, band)
+        assemble(problem, *start, WIDTH, units, True, band)
         solve_band(band, DAMPING, factors, steps)
         move(body.arrays, *start, steps, *trial)
-        return take_cost(body.arrays, evidence, priors, *trial, WIDTH, units, band)
+        return take_cost(problem, *trial, WIDTH, units, band)
 
     work()
     return band, work

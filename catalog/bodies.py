@@ -14,8 +14,7 @@ from pydantic import BaseModel, ConfigDict, Field
 from kinedex.catalog.configs import Located, config_path, load_yaml
 from kinedex.ops.arrays import I64
 from kinedex.ops.body.joint_tree import JOINTS, PARENTS
-from kinedex.ops.depth.cones import ConeBody
-from kinedex.ops.depth.pivots import moved_joints
+from kinedex.ops.depth.cones import ConeBody, moved_joints
 from kinedex.ops.errors import did_you_mean
 
 Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]

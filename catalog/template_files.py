@@ -13,10 +13,9 @@ from pydantic import BaseModel, ConfigDict, Field
 
 from kinedex.catalog.configs import Located, load_yaml, read_text, scalar
 from kinedex.catalog.features import FeatureSet
-from kinedex.catalog.named_template import NamedTemplate as NamedTemplate
 from kinedex.ops.arrays import F64
 from kinedex.ops.errors import ConfigError, KinedexError
-from kinedex.ops.templates.templates import Template
+from kinedex.ops.templates.templates import NamedTemplate, Template
 
 WILDCARD = 0.5
 _LETTERS = {"0": 0.0, "1": 1.0, "*": WILDCARD}

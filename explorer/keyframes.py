@@ -28,7 +28,7 @@ from starlette.requests import Request
 
 from kinedex.catalog.configs import parse_yaml, scalar
 from kinedex.catalog.queries.keyframe_query import KeyframeQuery, WordPattern, features_of, word_pattern
-from kinedex.catalog.queries.query_files import parse_queries, references
+from kinedex.catalog.queries.query_reader import parse_queries, references
 from kinedex.catalog.queries.query_writer import pose_groups, pose_text, write_queries
 from kinedex.explorer.addresses import Question, get, post
 from kinedex.explorer.answers import NotFoundError

@@ -22,7 +22,7 @@ from kinedex.explorer.answers import NotFoundError
 from kinedex.explorer.archive import Archive
 from kinedex.explorer.motion import POSITIONS, PositionCache, check_frame, frames_of, whole_number
 from kinedex.explorer.same import command_line, python_lines
-from kinedex.ops.body.fault_marks import fault_marks
+from kinedex.ops.body.motion_faults import fault_marks
 from kinedex.ops.errors import ParameterError, did_you_mean
 from kinedex.ops.intervals import in_seconds, nearest_frame
 from kinedex.ops.words import ALL_KNOWN, NO_WORD, U64

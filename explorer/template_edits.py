@@ -18,14 +18,14 @@ from pydantic import Field
 from starlette.requests import Request
 
 from kinedex.catalog.configs import config_path
-from kinedex.catalog.template_files import NamedTemplate, write_yaml
+from kinedex.catalog.template_files import write_yaml
 from kinedex.explorer.addresses import Question, post
 from kinedex.explorer.archive import Archive
 from kinedex.explorer.same import command_line, python_lines
 from kinedex.explorer.templates import TemplateUse, named, template_use
 from kinedex.ops.errors import ConfigError
 from kinedex.ops.templates.derived_templates import adjusted
-from kinedex.ops.templates.templates import Kind
+from kinedex.ops.templates.templates import Kind, NamedTemplate
 from kinedex.pipelines.templates.learning import SubclassTemplate
 from kinedex.pipelines.templates.training import feature_weights
 from kinedex.storage.store.store import Store

@@ -37,3 +37,21 @@ def extra_package(name: str, package: str, purpose: str, extra: str) -> ModuleTy
         raise MissingPackageError(
             f"{purpose} the package {package}, which is not installed: install it with `pip install 'kinedex[{extra}]'`"
         ) from fault
+
+
+def imu_package(name: str, purpose: str) -> ModuleType:
+    """Import a module of a package of the extra `kinedex[imu]`.
+
+    Parameters
+    ----------
+    name : str
+        The module, such as scipy.signal.
+    purpose : str
+        The plural or clause that needs it, with which the error message begins.
+
+    Raises
+    ------
+    MissingPackageError
+        The package is not installed.
+    """
+    return extra_package(name, name.partition(".")[0], purpose, "imu")

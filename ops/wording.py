@@ -1,11 +1,26 @@
-"""This module formats counts, lists of names, values and durations as text for the terminal, pages and messages."""
+"""This module formats counts, lists of names, values and durations as text for the terminal, pages and messages.
+
+It also escapes control and invisible characters of names, values and messages. A terminal would execute ESC sequences
+in a file's name, and a right-to-left override would display a different name. All output of the command line is escaped
+here; CSV, JSON and Parquet in files and pipes keep the true values.
+"""
 
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Sequence
 
 _MOST = 8
+
+_ODD = (
+    "\x00-\x1f\x7f-\x9f"  # C0 and C1 control characters
+    "\u00ad\u061c\u180e\u200b-\u200f\u2028-\u202e\u2060-\u206f\ufeff\ufff9-\ufffb\U000e0000-\U000e0fff"  # invisible
+    "\ud800-\udfff"  # bytes of file names that are not UTF-8
+)
+_ESCAPED = re.compile(f"[{_ODD}]")
+_ESCAPED_IN_LINES = re.compile(f"(?!\n)[{_ODD}]")
+_SHORT = {"\n": "\\n", "\r": "\\r", "\t": "\\t"}
 
 
 def few(names: Sequence[str]) -> str:
@@ -32,3 +47,40 @@ def duration(seconds: float) -> str:
     if minutes < 60:
         return f"{minutes} min {rest} s" if minutes < 10 and rest else f"{minutes} min"
     return f"{minutes // 60} h {minutes % 60} min"
+
+
+def visible(text: str) -> str:
+    """Return a one-line text with control and invisible characters escaped: ``\x1b``, ``\u202e``."""
+    return text if text.isascii() and text.isprintable() else _ESCAPED.sub(_escape, text)
+
+
+def visible_text(text: str) -> str:
+    """Return a text escaped as by `visible`, but with its line breaks kept."""
+    return text if text.isascii() and text.isprintable() else _ESCAPED_IN_LINES.sub(_escape, text)
+
+
+def visible_lines(text: str) -> str:
+    """Return a message escaped as by `visible`, with line breaks kept and all lines but the first indented.
+
+    So a name that contains a line break cannot look like a separate message. The indent is two spaces or more.
+    """
+    return re.sub(r"\n(?!  |\n|$)", "\n  ", visible_text(text))
+
+
+def json_escaped(text: str) -> str:
+    """Return JSON text with these characters escaped; its values stay the same."""
+    # DEL is the only control character that JSON does not escape
+    return text if text.isascii() and "\x7f" not in text else _ESCAPED_IN_LINES.sub(_json_escape, text)
+
+
+def _escape(found: re.Match[str]) -> str:
+    letter = found[0]
+    code = ord(letter)
+    return _SHORT.get(letter) or (
+        f"\\x{code:02x}" if code < 0x100 else f"\\u{code:04x}" if code < 0x10000 else f"\\U{code:08x}"
+    )
+
+
+def _json_escape(found: re.Match[str]) -> str:
+    pairs = found[0].encode("utf-16-be", "surrogatepass").hex()
+    return "".join(f"\\u{pairs[place : place + 4]}" for place in range(0, len(pairs), 4))

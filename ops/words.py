@@ -1,12 +1,22 @@
-"""Words are the bit vectors of frames, one bit per feature; this module packs, unpacks and stores them."""
+"""Words are the bit vectors of frames, one bit per feature; this module packs, unpacks and stores them.
+
+It also handles known features: how templates and keyframes apply to a take whose body lacks joints. A mask with the
+bits of a word marks the features that are known in a take. An unknown feature is 0 in its words, which is not evidence:
+entries of templates and keyframes for this feature are wildcards for the take, and if too few entries are left, the
+template or query is not applied to it. The kernels do not use masks: takes with the same mask are searched together, by
+templates and queries that are restricted to it.
+"""
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass, replace
 
 import numpy as np
 
-from kinedex.ops.arrays import I64, U8, U64, Bool
+from kinedex.ops.arrays import I64 as I64
+from kinedex.ops.arrays import U8, Bool
+from kinedex.ops.arrays import U64 as U64
 from kinedex.ops.errors import ParameterError
 
 NO_WORD = np.uint64(0xFFFF_FFFF_FFFF_FFFF)
@@ -19,6 +29,9 @@ MOST_FEATURES = 63
 
 ALL_KNOWN = np.uint64(0xFFFF_FFFF_FFFF_FFFF)
 """The mask of known features of a take whose body has all joints."""
+
+LEAST_KNOWN = 0.6
+"""Minimum fraction of known fixed entries for which a template or query is applied to a take."""
 
 
 @dataclass(frozen=True)
@@ -168,3 +181,77 @@ def pack(matrix: Bool | U8) -> U64:
         if matrix.shape[1]
         else np.zeros(len(matrix), np.uint64)
     )
+
+
+def known_share(masks: Iterable[int], known: int) -> float:
+    """Return the fraction of fixed entries that are known; 1 where nothing is fixed.
+
+    Parameters
+    ----------
+    masks : iterable of int
+        The fixed bits of each column or keyframe.
+    known : int
+        The mask of the known features.
+    """
+    fixed = [int(mask) for mask in masks]
+    total = sum(mask.bit_count() for mask in fixed)
+    return sum((mask & known).bit_count() for mask in fixed) / total if total else 1.0
+
+
+def is_applied(masks: Iterable[int], known: int) -> bool:
+    """Return True if enough of the fixed entries are known, see `known_share` and `LEAST_KNOWN`."""
+    return known_share(masks, known) >= LEAST_KNOWN
+
+
+def known_bits(known: int, features: int) -> Bool:
+    """Return a mask of the known features among f features, bool (f,)."""
+    return np.array([known >> bit & 1 for bit in range(features)], np.bool_)
+
+
+def compacted(words: U64, known: int, features: int) -> U64:
+    """Return words of the known features only, with their bits moved together in order.
+
+    Parameters
+    ----------
+    words : uint64 array (L,)
+        Complete words; `NO_WORD` is kept.
+    known : int
+        The mask of the known features.
+    features : int
+        The number of features of complete words.
+    """
+    result = np.zeros(len(words), np.uint64)
+    for place, bit in enumerate(np.flatnonzero(known_bits(known, features)).tolist()):
+        result |= ((words >> np.uint64(bit)) & np.uint64(1)) << np.uint64(place)
+    return np.where(words == NO_WORD, NO_WORD, result)
+
+
+def rearrange(words: U64, order: I64) -> U64:
+    """Permute the bits of words.
+
+    Parameters
+    ----------
+    words : uint64 array (N,)
+        One word a frame; bits beyond the order's length are 0; `NO_WORD` where the frame is invalid.
+    order : int64 array (f,)
+        A permutation of 0 … f − 1: bit i of a result is bit order[i] of its word.
+
+    Returns
+    -------
+    uint64 array (N,)
+        `NO_WORD` is unchanged.
+
+    Raises
+    ------
+    ParameterError
+        If the order is no permutation.
+    """
+    if len(order) > MOST_FEATURES or not np.array_equal(np.sort(order), np.arange(len(order))):
+        raise ParameterError("order", f"a permutation of at most {MOST_FEATURES} bits", order.tolist())
+    moved = np.zeros_like(words)
+    # Bits that move by the same distance are moved together, as there are only a few different distances.
+    shifts = np.asarray(order) - np.arange(len(order))
+    for shift in np.unique(shifts).tolist():
+        mask = np.uint64(sum(1 << i for i in np.flatnonzero(shifts == shift).tolist()))
+        moved |= (words >> np.uint64(shift) if shift >= 0 else words << np.uint64(-shift)) & mask
+    return np.where(words == NO_WORD, NO_WORD, moved)

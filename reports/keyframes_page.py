@@ -12,8 +12,7 @@ from kinedex.catalog.features import FeatureSet
 from kinedex.catalog.queries.keyframe_query import SAME_FRAME
 from kinedex.ops.evaluation.confidence_intervals import wilson
 from kinedex.ops.intervals import in_seconds
-from kinedex.ops.keyframes.individuals import Individual
-from kinedex.ops.keyframes.training_task import HISTORY_COLUMNS, LearningRun
+from kinedex.ops.keyframes.training_task import HISTORY_COLUMNS, Individual, LearningRun
 from kinedex.ops.words import bits
 from kinedex.pipelines.keyframes.learning import Learner, Outcome, every_query, keyframe_queries
 from kinedex.pipelines.keyframes.stored_queries import sentence

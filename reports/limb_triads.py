@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from kinedex.ops.inertial.drift import HeadingDrift
+from kinedex.ops.inertial.hand_eye import HeadingDrift
 from kinedex.ops.inertial.rotations import conjugate, interpolate, multiply, rotate
 from kinedex.pipelines.inertial.limb_motion import LimbMotion
 from kinedex.pipelines.inertial.worn_sensors import Clock, WornSensor, WornTake

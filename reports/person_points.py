@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from kinedex.catalog.depth_placement import placement_of
+from kinedex.catalog.depth_cameras import placement_of
 from kinedex.catalog.depth_recordings import load_depth_recordings
 from kinedex.ops.errors import KinedexError
 from kinedex.pipelines.reconstruction.recording_tracks import make_scene

@@ -13,7 +13,7 @@ import pyarrow as pa
 from kinedex.catalog.kinematics import load_kinematic_chain
 from kinedex.ops.body.kinematic_chain import ChainBody, forward
 from kinedex.ops.intervals import in_seconds
-from kinedex.ops.tracking.rays import LEAST_CONFIDENCE
+from kinedex.ops.tracking.observations import LEAST_CONFIDENCE
 from kinedex.ops.wording import counted
 from kinedex.pipelines.recordings.runs import earlier_rows
 from kinedex.pipelines.tracking.recordings import StoredRecording, stored_recording

@@ -20,9 +20,17 @@ from kinedex.catalog.kinematics import load_kinematic_chain
 from kinedex.ops.body.kinematic_chain import ChainBody
 from kinedex.ops.body.pose_fit import measured_body
 from kinedex.ops.cameras.projection import project
-from kinedex.ops.simulation.failures import FailureRate, Limbs
-from kinedex.ops.simulation.keypoints import Detector, detected_keypoints, outside_hidden
-from kinedex.ops.simulation.recording import Setup, keypoint_places, simulated_recording, take_generators
+from kinedex.ops.simulation.recording import (
+    Detector,
+    FailureRate,
+    Limbs,
+    Setup,
+    detected_keypoints,
+    keypoint_places,
+    outside_hidden,
+    simulated_recording,
+    take_generators,
+)
 from kinedex.ops.tracking.observations import BodyPoints, Rays
 from kinedex.ops.tracking.triangulation import triangulate
 

@@ -31,8 +31,9 @@ import polars as pl
 from kinedex.catalog.classes import OWN, load_classes
 from kinedex.ops.annotation.confidence import PRIORS, Prior, learn_confidence
 from kinedex.ops.annotation.evidence import evidence_of
+from kinedex.ops.arrays import U64
 from kinedex.ops.evaluation.reliability import EDGES, auroc, brier, reliability
-from kinedex.ops.words import U64, TakeWords
+from kinedex.ops.words import TakeWords
 from kinedex.pipelines.annotation.annotators import Annotator, make_annotator
 from kinedex.pipelines.annotation.batches import annotate_words
 from kinedex.pipelines.annotation.confidence_calibration import Target, calibrate_confidence

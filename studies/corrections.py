@@ -26,9 +26,10 @@ import polars as pl
 from kinedex.catalog.classes import OWN, Classes, load_classes
 from kinedex.catalog.queries.keyframe_query import KeyframeQuery
 from kinedex.ops.annotation.segments import Segment
+from kinedex.ops.arrays import U64
 from kinedex.ops.errors import KinedexError
 from kinedex.ops.evaluation.metrics import Counts, compare, pooled
-from kinedex.ops.words import U64, TakeWords
+from kinedex.ops.words import TakeWords
 from kinedex.pipelines.annotation.annotators import Annotator, make_annotator
 from kinedex.pipelines.annotation.batches import annotate_words
 from kinedex.pipelines.annotation.confidence_calibration import Target, calibrate_confidence

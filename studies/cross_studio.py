@@ -19,9 +19,10 @@ import numpy.typing as npt
 
 from kinedex.catalog.classes import Classes, load_classes
 from kinedex.ops.annotation.decoding import explain
+from kinedex.ops.arrays import U64
 from kinedex.ops.distances.dtw import distance_curves
 from kinedex.ops.templates.templates import QuantisedTemplate
-from kinedex.ops.words import U64, TakeWords, bits
+from kinedex.ops.words import TakeWords, bits
 from kinedex.pipelines.annotation.annotators import Annotator, make_annotator
 from kinedex.pipelines.annotation.batches import annotate_words
 from kinedex.pipelines.annotation.methods import BestMethod, ThesisMethod

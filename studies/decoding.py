@@ -25,9 +25,10 @@ from kinedex.catalog.features import FeatureSet
 from kinedex.console.terminal import make_console
 from kinedex.ops.annotation.background import SPLITS, background
 from kinedex.ops.annotation.decoding import Decoding, Explained, explain, lay_columns, margins
+from kinedex.ops.arrays import U64
 from kinedex.ops.evaluation.metrics import Counts, compare, pooled
 from kinedex.ops.templates.templates import Learned, learn_soft
-from kinedex.ops.words import NO_WORD, U64, TakeWords
+from kinedex.ops.words import NO_WORD, TakeWords
 from kinedex.pipelines.annotation.annotators import make_annotator
 from kinedex.pipelines.annotation.batches import annotate_words
 from kinedex.pipelines.templates.learning import SubclassTemplate

@@ -9,8 +9,8 @@ import numpy as np
 import numpy.typing as npt
 
 from kinedex.catalog.bodies import load_body
-from kinedex.ops.depth.bidirectional import choose_directions
 from kinedex.ops.depth.image_search import DepthView, depth_view
+from kinedex.ops.depth.low_pass import choose_directions
 from kinedex.ops.depth.points import Preparation, choose_stride, ray_table
 from kinedex.ops.depth.pose_distance import COMPARED, are_ends_found
 from kinedex.ops.depth.size_estimate import estimate_size

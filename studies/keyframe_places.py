@@ -8,8 +8,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from kinedex.catalog.classes import load_classes
+from kinedex.ops.arrays import I64
 from kinedex.ops.evaluation.metrics import Counts, compare
-from kinedex.ops.words import I64, TakeWords
+from kinedex.ops.words import TakeWords
 from kinedex.pipelines.annotation.annotators import make_annotator
 from kinedex.pipelines.annotation.batches import annotate_words
 from kinedex.pipelines.engine.executors import Executor

@@ -22,10 +22,10 @@ import numpy as np
 import polars as pl
 
 from kinedex.catalog.classes import load_classes
+from kinedex.ops.arrays import U64
 from kinedex.ops.evaluation.metrics import Counts
 from kinedex.ops.templates import templates as rules
 from kinedex.ops.templates.templates import Kind, quantise
-from kinedex.ops.words import U64
 from kinedex.pipelines.annotation.annotators import make_annotator
 from kinedex.pipelines.annotation.batches import annotate_stored
 from kinedex.pipelines.annotation.methods import annotation_method

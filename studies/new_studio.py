@@ -22,10 +22,11 @@ import numpy as np
 import polars as pl
 
 from kinedex.catalog.classes import OWN, Classes, load_classes
+from kinedex.ops.arrays import U64
 from kinedex.ops.evaluation.detection import bootstrap
 from kinedex.ops.evaluation.metrics import Counts, compare, pooled
 from kinedex.ops.intervals import analysis_frame
-from kinedex.ops.words import U64, TakeWords
+from kinedex.ops.words import TakeWords
 from kinedex.pipelines.annotation.annotators import make_annotator
 from kinedex.pipelines.annotation.batches import annotate_words
 from kinedex.pipelines.annotation.methods import annotation_method

@@ -24,10 +24,9 @@ from kinedex.catalog.features import FeatureSet, load_feature_set
 from kinedex.catalog.queries.keyframe_query import KeyframeQuery, query_share
 from kinedex.catalog.skeletons.mappings import load_mappings
 from kinedex.ops.evaluation.metrics import Counts, compare, pooled
-from kinedex.ops.known import known_bits
 from kinedex.ops.templates.derived_templates import restricted_template
 from kinedex.ops.templates.templates import QuantisedTemplate
-from kinedex.ops.words import TakeWords, bits
+from kinedex.ops.words import TakeWords, bits, known_bits
 from kinedex.pipelines.annotation.annotators import Annotator, make_annotator
 from kinedex.pipelines.annotation.batches import annotate_words
 from kinedex.pipelines.annotation.methods import ThesisMethod, annotation_method

@@ -13,16 +13,14 @@ import numpy.typing as npt
 import kinedex
 from kinedex.catalog.classes import load_classes
 from kinedex.catalog.features import load_feature_set
+from kinedex.ops.arrays import U64
 from kinedex.ops.body.features import words as words_of
 from kinedex.ops.body.kinematic_chain import ChainBody, Poses, forward
 from kinedex.ops.body.kinematics import quaternions
 from kinedex.ops.body.pose_fit import fit_poses, measured_body
-from kinedex.ops.priors.alignment import clip_frames
-from kinedex.ops.priors.archive_poses import pose_table
+from kinedex.ops.priors.archive_poses import Motion, clip_frames, pose_table
 from kinedex.ops.priors.constraints import template_marks
-from kinedex.ops.priors.motion import Motion
 from kinedex.ops.templates.templates import learn_soft, quantise
-from kinedex.ops.words import U64
 from studies.camera_set import CHAIN
 
 F64 = npt.NDArray[np.float64]

@@ -15,7 +15,7 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 
-from kinedex.ops.priors.motion import Motion
+from kinedex.ops.priors.archive_poses import Motion
 from kinedex.ops.priors.stabilise import Settings
 from kinedex.ops.simulation.recording import Setup
 from kinedex.pipelines.evaluation.markdown import grid

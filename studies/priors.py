@@ -16,9 +16,8 @@ import numpy.typing as npt
 
 from kinedex.ops.body.kinematic_chain import ChainBody
 from kinedex.ops.body.pose_fit import measured_body
-from kinedex.ops.priors.motion import Motion
-from kinedex.ops.simulation.failures import LONG
-from kinedex.ops.simulation.recording import Setup
+from kinedex.ops.priors.archive_poses import Motion
+from kinedex.ops.simulation.recording import LONG, Setup
 from kinedex.ops.tracking.body_estimate import mean_body
 from kinedex.pipelines.evaluation.markdown import grid
 from studies.camera_set import (

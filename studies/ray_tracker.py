@@ -11,11 +11,9 @@ import numpy.typing as npt
 from kinedex.ops.body.kinematic_chain import ChainBody, Poses
 from kinedex.ops.priors.stabilise import Track
 from kinedex.ops.tracking.first_track import FirstTrack, first_track
-from kinedex.ops.tracking.observations import BodyPoints, Rays
-from kinedex.ops.tracking.prior_terms import PriorTerms
-from kinedex.ops.tracking.side_exchange import exchanged_sides
+from kinedex.ops.tracking.observations import BodyPoints, Observed, PriorTerms, Rays
 from kinedex.ops.tracking.take_tracker import SCHEDULE, track_take
-from kinedex.ops.tracking.trust import restart, trust
+from kinedex.ops.tracking.trust import exchanged_sides, restart, trust
 
 Bool = npt.NDArray[np.bool_]
 
@@ -47,12 +45,13 @@ class RayTracker:
     @cached_property
     def without(self) -> FirstTrack:
         """The track without priors, with that before its restart."""
-        return first_track(self.body, self.rays, self.points, self.rate_hz)
+        return first_track(Observed(self.body, self.rate_hz, self.rays, self.points))
 
     def track(self, start: Poses, priors: PriorTerms | None) -> Track:
         """Track the recording again from a start, with the terms of priors."""
         rays = exchanged_sides(self.body, self.rays, self.points, start)
-        return track_take(self.body, rays, self.points, self.rate_hz, start, priors, schedule=SCHEDULE[-1:])
+        observed = Observed(self.body, self.rate_hz, rays, self.points)
+        return track_take(observed, start, priors, schedule=SCHEDULE[-1:])
 
     def nodes_seen(self, track: Track) -> Bool:
         """Return the nodes whose keypoints the cameras agree on, bool (T, K)."""

@@ -22,9 +22,10 @@ import polars as pl
 
 from kinedex.ops.annotation.decoding import Decoding
 from kinedex.ops.annotation.segments import Segment
+from kinedex.ops.arrays import U64
 from kinedex.ops.evaluation.metrics import f_measure
 from kinedex.ops.templates.templates import quantise
-from kinedex.ops.words import NO_WORD, U64, TakeWords, bits
+from kinedex.ops.words import NO_WORD, TakeWords, bits
 from kinedex.pipelines.annotation.methods import BestMethod, whole_takes, with_usual_values
 from kinedex.pipelines.annotation.single_examples import NOTHING, SingleExamples, usual_postures
 from kinedex.pipelines.templates.learning import TrainingClips, learned_of

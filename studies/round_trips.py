@@ -20,7 +20,7 @@ import polars as pl
 import kinedex
 from kinedex.library.take import Take
 from kinedex.ops.errors import KinedexError
-from kinedex.ops.synth.actors import cast
+from kinedex.ops.synth.body import cast
 from kinedex.ops.synth.performance import perform_clip
 from kinedex.ops.synth.solve import columns
 from kinedex.pipelines.evaluation.markdown import grid

@@ -22,19 +22,20 @@ import polars as pl
 import kinedex
 from kinedex.catalog.features import load_feature_set
 from kinedex.catalog.kinematics import load_kinematic_chain, load_surface
+from kinedex.ops.arrays import U64
 from kinedex.ops.body.capsules import Capsules, body_capsules
+from kinedex.ops.body.kinematic_chain import ChainBody, Poses
 from kinedex.ops.body.pose_fit import fit_poses, measured_body
 from kinedex.ops.priors.allocation import POSE
+from kinedex.ops.priors.archive_poses import Motion
 from kinedex.ops.priors.constraints import template_marks
-from kinedex.ops.priors.motion import Motion
 from kinedex.ops.priors.stabilise import LOGICAL, Settings, stabilise
-from kinedex.ops.simulation.cameras import CameraRing, ring_of_cameras
+from kinedex.ops.simulation.recording import CameraRing, ring_of_cameras
 from kinedex.ops.templates.templates import quantise
-from kinedex.ops.tracking.body_mask import render_mask
 from kinedex.ops.tracking.contours import Silhouettes
-from kinedex.ops.tracking.frame_tracker import FrameTrack, FrameTracker
-from kinedex.ops.tracking.views import View, camera_view
-from kinedex.ops.words import U64
+from kinedex.ops.tracking.frame_tracker import FrameTrack, track_frames
+from kinedex.ops.tracking.observations import Observed, PriorTerms
+from kinedex.ops.tracking.views import View, camera_view, render_mask
 from kinedex.pipelines.evaluation.markdown import grid
 
 F64 = npt.NDArray[np.float64]
@@ -83,13 +84,37 @@ def dark_cameras(frames: int, cameras: int, generator: np.random.Generator) -> B
     return dark
 
 
+@dataclass(frozen=True, eq=False)
+class FrameTracker:
+    """A tracker of single frames on silhouettes alone, for rounds of priors; see `ops.priors.stabilise.Tracker`."""
+
+    body: ChainBody
+    first: Poses
+    silhouettes: Silhouettes
+    rate_hz: float = RATE_HZ
+    carries_over: bool = True
+
+    def track(self, start: Poses | None = None, priors: PriorTerms | None = None) -> FrameTrack:
+        """Track the recording with priors; `start` is ignored, as each frame starts from the previous one."""
+        observed = Observed(self.body, self.rate_hz, None, silhouettes=self.silhouettes)
+        return track_frames(observed, self.first, priors)
+
+    def nodes_seen(self, track: FrameTrack) -> Bool:
+        """Return a mask (T, K) that is True for all nodes of the frames that are not lost."""
+        return np.repeat(~track.lost[:, None], len(self.body.chain.nodes), axis=1)
+
+    def restart(self, poses: Poses, nodes_seen: Bool) -> Poses:
+        """Return the poses unchanged, as this tracker only starts from the first frame."""
+        return poses
+
+
 def tracker_of(joints: F64, views: tuple[View, ...], generator: np.random.Generator) -> FrameTracker:
     """Return the tracker of a take with true joints (J, 3, T)."""
     body = measured_body(CHAIN, joints)
     dark = dark_cameras(joints.shape[2], len(views), generator)
     masks = RenderedMasks(joints, views, body_capsules(body, SURFACE, THICKNESS), dark)
     silhouettes = Silhouettes(views, masks, body_capsules(body, SURFACE))
-    return FrameTracker(body, None, None, RATE_HZ, fit_poses(body, joints[:, :, :1]), silhouettes)
+    return FrameTracker(body, fit_poses(body, joints[:, :, :1]), silhouettes)
 
 
 def filmed(data: Path, seed: int) -> Iterator[tuple[str, F64, FrameTracker]]:

@@ -13,7 +13,7 @@ import numpy as np
 
 from kinedex.catalog.features import load_feature_set
 from kinedex.catalog.queries.keyframe_query import SAME_FRAME, KeyframeQuery
-from kinedex.catalog.queries.query_files import read_queries
+from kinedex.catalog.queries.query_reader import read_queries
 
 BINS = 10
 

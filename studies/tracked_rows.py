@@ -10,7 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from kinedex.ops.body.kinematic_chain import ChainBody
-from kinedex.ops.priors.motion import Motion
+from kinedex.ops.priors.archive_poses import Motion
 from kinedex.ops.priors.stabilise import Settings, StabilisedTrack, stabilise
 from kinedex.ops.tracking.body_estimate import estimate_body
 from kinedex.ops.tracking.triangulation import triangulate

@@ -14,7 +14,7 @@ import typer
 from kinedex.catalog.classes import load_classes
 from kinedex.catalog.configs import config_path
 from kinedex.catalog.features import load_feature_set
-from kinedex.catalog.queries.query_files import parse_queries
+from kinedex.catalog.queries.query_reader import parse_queries
 from kinedex.catalog.skeletons.mappings import load_skeleton
 from kinedex.commands.cli import app
 from kinedex.pipelines.engine.config import load_pipeline

@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from kinedex.catalog.features import load_feature_set
-from kinedex.catalog.queries.query_files import read_queries
+from kinedex.catalog.queries.query_reader import read_queries
 from kinedex.commands.command_list import COMMANDS
 from kinedex.pipelines.stages.index import Index
 from kinedex.pipelines.stages.ingest import Ingest

@@ -12,7 +12,7 @@ import yaml
 
 from kinedex.catalog.features import load_feature_set
 from kinedex.catalog.queries.keyframe_query import SAME_FRAME, Gap, Keyframe, KeyframeQuery
-from kinedex.catalog.queries.query_files import parse_queries, read_queries
+from kinedex.catalog.queries.query_reader import parse_queries, read_queries
 from kinedex.ops.annotation.segments import Segment
 from kinedex.ops.templates.templates import QuantisedTemplate
 from kinedex.pipelines.engine.config import load_pipeline

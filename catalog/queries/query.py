@@ -12,8 +12,14 @@ import yaml
 from kinedex.catalog.configs import Located, config_path, load_yaml, parse_yaml
 from kinedex.catalog.features import FeatureSet, load_feature_set
 from kinedex.catalog.queries.keyframe_query import KeyframeQuery
-from kinedex.catalog.queries.query_files import ANALYSIS_RATE_HZ
-from kinedex.catalog.queries.query_reader import STRUCTURE, QueryReader, is_reference, referred_path, with_switches
+from kinedex.catalog.queries.query_reader import (
+    ANALYSIS_RATE_HZ,
+    STRUCTURE,
+    QueryReader,
+    is_reference,
+    referred_path,
+    with_switches,
+)
 from kinedex.ops.errors import ConfigError, KinedexError, did_you_mean
 
 FEATURES = "body40"

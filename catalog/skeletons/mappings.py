@@ -1,4 +1,7 @@
-"""Skeleton mappings turn the joints of a source's skeleton into the named joints that features refer to."""
+"""Skeleton mappings turn the joints of a source's skeleton into the named joints that features refer to.
+
+`WatchedMappings` record a reader's last request, so that a mapping can be proposed for a file that is rejected.
+"""
 
 from __future__ import annotations
 
@@ -8,7 +11,7 @@ import re
 import sys
 from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field, fields, replace
 from functools import lru_cache
 from pathlib import Path
 from typing import Any, Literal
@@ -18,12 +21,11 @@ from pydantic import BaseModel, ConfigDict, Field, model_validator
 
 from kinedex.catalog.configs import Located, config_names, config_path, load_yaml
 from kinedex.catalog.skeletons.evidence import Evidence
-from kinedex.catalog.skeletons.limb_sources import LimbEntry, limb_sources
 from kinedex.catalog.skeletons.recognition.landmarks import Landmarks
 from kinedex.catalog.skeletons.recognition.names import LONGEST_PREFIX, Vocabulary
 from kinedex.catalog.skeletons.recognition.points import recognise_points
 from kinedex.catalog.skeletons.recognition.recognised_tree import recognise_tree
-from kinedex.catalog.skeletons.skeleton_fit import Axis, Fit, Format, Mix, SkeletonMapping
+from kinedex.catalog.skeletons.skeleton_fit import Axis, Fit, Format, LimbEntry, Mix, SkeletonMapping, limb_sources
 from kinedex.ops.arrays import F64
 from kinedex.ops.body.joint_tree import JOINT_PARENTS
 from kinedex.ops.errors import SourceError, did_you_mean
@@ -450,3 +452,49 @@ def _axes(located: Located, up: Axis, facing: Axis, handedness: str, key: str) -
     upward, forward = (np.eye(3)["xyz".index(axis[-1])] * (-1.0 if axis[0] == "-" else 1.0) for axis in (up, facing))
     side = np.cross(upward, forward) * (1.0 if handedness == "right" else -1.0)
     return np.stack([side, upward, forward])
+
+
+@dataclass
+class Question:
+    """The body for which a reader last requested a mapping.
+
+    Attributes
+    ----------
+    form : str, optional
+        The format; None if the reader requested nothing.
+    nodes : dict of str to int
+        Node name → index.
+    evidence : Evidence, optional
+        Tree and places of the nodes.
+    fit : Fit, optional
+        The answer; None if no body was recognised.
+    """
+
+    form: Format | None = None
+    nodes: dict[str, int] = field(default_factory=dict)
+    evidence: Evidence | None = None
+    fit: Fit | None = None
+
+
+@dataclass(frozen=True)
+class WatchedMappings(Mappings):
+    """Mappings that record the last request of a reader, and their answer."""
+
+    question: Question = field(default_factory=Question)
+
+    @classmethod
+    def of_mappings(cls, mappings: Mappings) -> WatchedMappings:
+        """Return mappings that behave like the given mappings."""
+        return cls(**{one.name: getattr(mappings, one.name) for one in fields(Mappings)})
+
+    def exact(self, source: str | Path, form: Format, nodes: Mapping[str, int]) -> Fit | None:
+        """Record the nodes, and return the fit of the mapping whose nodes all occur among them; None for no mapping."""
+        self.question.form, self.question.nodes, self.question.fit = form, dict(nodes), None
+        self.question.fit = super().exact(source, form, nodes)
+        return self.question.fit
+
+    def recognised(self, source: str | Path, form: Format, evidence: Evidence) -> Fit:
+        """Record the evidence, and return the fit that recognition makes."""
+        self.question.form, self.question.evidence = form, evidence
+        self.question.fit = super().recognised(source, form, evidence)
+        return self.question.fit

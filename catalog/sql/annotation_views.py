@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from kinedex.catalog.sql.result_columns import RANGE, SECONDS, TAKE, result_view
+from kinedex.catalog.sql.columns import RANGE, SECONDS, TAKE, result_view
 
 _METHOD = (
     "method    VARCHAR    'templates' or 'templates within keyframe hits' (method thesis), "

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from kinedex.catalog.sql.result_columns import SECONDS, TAKE, result_view
+from kinedex.catalog.sql.columns import SECONDS, TAKE, result_view
 
 ARCHIVE_VIEWS = (
     result_view(

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from kinedex.catalog.sql.result_columns import TAKE, result_view
+from kinedex.catalog.sql.columns import TAKE, result_view
 
 DEPTH_VIEWS = (
     result_view(

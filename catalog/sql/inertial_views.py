@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from kinedex.catalog.sql.result_columns import TAKE, result_view
+from kinedex.catalog.sql.columns import TAKE, result_view
 
 QUATERNION = "STRUCT(w DOUBLE, x DOUBLE, y DOUBLE, z DOUBLE)"
 VECTOR = "STRUCT(x DOUBLE, y DOUBLE, z DOUBLE)"

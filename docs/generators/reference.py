@@ -54,7 +54,7 @@ PARTS = {
         ("a `Mix`, which stands for a joint", "kinedex.catalog.skeletons.mappings", "_Mix"),
         ("`Aside`", "kinedex.catalog.skeletons.mappings", "_Aside"),
         ("`Root`", "kinedex.catalog.skeletons.mappings", "_Root"),
-        ("a `LimbEntry`, which stands for a limb", "kinedex.catalog.skeletons.limb_sources", "LimbEntry"),
+        ("a `LimbEntry`, which stands for a limb", "kinedex.catalog.skeletons.skeleton_fit", "LimbEntry"),
     ),
     "names": (
         ("names of nodes", "kinedex.catalog.skeletons.recognition.names", "_VocabularyFile"),
@@ -71,7 +71,7 @@ PARTS = {
         ("a step of `sequence`", "kinedex.catalog.queries.query_reader", "StepEntry"),
         ("a query of another file", "kinedex.catalog.queries.query_reader", "ReferenceEntry"),
         ("a `Keyframe`", "kinedex.catalog.queries.keyframe_entries", "_KeyframeEntry"),
-        ("a gap", "kinedex.catalog.queries.gap_entries", "GapEntry"),
+        ("a gap", "kinedex.catalog.queries.keyframe_entries", "GapEntry"),
     ),
     "kinematics": (
         ("", "kinedex.catalog.kinematics", "_ChainFile"),

@@ -27,7 +27,7 @@ from kinedex.commands.command_list import SEARCH as SEARCH
 from kinedex.commands.command_list import TRACK as TRACK
 from kinedex.console.plain_values import convert_plain_values
 from kinedex.ops.errors import KinedexError, Remedy
-from kinedex.ops.escapes import json_escaped, visible_lines
+from kinedex.ops.wording import json_escaped, visible_lines
 
 if TYPE_CHECKING:
     from types import TracebackType

@@ -13,7 +13,7 @@ from kinedex.commands.app import MAINTAIN, command, group
 from kinedex.commands.options import FormatOption, JsonOption, OutputOption, StorePath
 from kinedex.commands.output import print_json, print_message, print_path, show_table
 from kinedex.ops.errors import KinedexError, did_you_mean
-from kinedex.ops.escapes import visible
+from kinedex.ops.wording import visible
 
 history = group("history", "List, show and repeat what pipelines did to a store.", MAINTAIN)
 

@@ -14,9 +14,9 @@ from kinedex.catalog.limbs import WORN
 from kinedex.commands.demo import SEED, ingest_archive, recordings_folder
 from kinedex.console.terminal import Terminal
 from kinedex.ops.errors import KinedexError
-from kinedex.ops.inertial.packages import imu_package
 from kinedex.ops.inertial.rotations import distance_deg
 from kinedex.ops.intervals import in_seconds
+from kinedex.ops.packages import imu_package
 from kinedex.ops.wording import counted
 from kinedex.pipelines.engine.runner import Outcome, run_pipeline
 from kinedex.pipelines.recordings.runs import earlier_rows

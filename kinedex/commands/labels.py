@@ -13,7 +13,7 @@ from kinedex.commands.options import AtOption, FormatOption, JsonOption, OutputO
 from kinedex.commands.output import print_json, print_message, show_table
 from kinedex.commands.store_access import open_for_reading
 from kinedex.ops.errors import KinedexError
-from kinedex.ops.escapes import visible
+from kinedex.ops.wording import visible
 
 if TYPE_CHECKING:
     import polars as pl

@@ -23,8 +23,7 @@ from kinedex.commands.options import (
 )
 from kinedex.commands.output import print_json
 from kinedex.ops.errors import KinedexError, SourceError
-from kinedex.ops.escapes import visible, visible_lines
-from kinedex.ops.wording import counted
+from kinedex.ops.wording import counted, visible, visible_lines
 
 if TYPE_CHECKING:
     from kinedex.pipelines.inspection.inspection import Inspection

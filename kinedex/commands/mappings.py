@@ -11,7 +11,7 @@ from kinedex.commands.app import MAINTAIN, command, group
 from kinedex.commands.options import JsonOption, StorePath, WaitOption, wait_of
 from kinedex.commands.output import print_json
 from kinedex.ops.errors import KinedexError, did_you_mean
-from kinedex.ops.escapes import visible
+from kinedex.ops.wording import visible
 
 mapping = group("mapping", "Make skeleton mappings, and keep them in a store.", MAINTAIN)
 

@@ -13,8 +13,7 @@ import typer
 
 from kinedex.commands.app import LEFT_OUT
 from kinedex.ops.errors import KinedexError
-from kinedex.ops.escapes import visible, visible_lines
-from kinedex.ops.wording import counted, few
+from kinedex.ops.wording import counted, few, visible, visible_lines
 
 if TYPE_CHECKING:
     import pyarrow as pa

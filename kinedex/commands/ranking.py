@@ -116,7 +116,7 @@ def rank(
 
 
 def _read_queries(name: str, store: Store) -> tuple[KeyframeQuery, ...]:
-    from kinedex.catalog.queries.query_files import read_queries
+    from kinedex.catalog.queries.query_reader import read_queries
 
     return read_queries(name, store.feature_set, store.rate_hz)
 

@@ -11,7 +11,7 @@ from kinedex.commands.app import RUN, command, group
 from kinedex.commands.options import JsonOption
 from kinedex.commands.output import print_json
 from kinedex.ops.errors import KinedexError
-from kinedex.ops.escapes import visible
+from kinedex.ops.wording import visible
 
 report = group("report", "Compare evaluations.", RUN)
 

@@ -44,10 +44,7 @@ def cameras(
     from dataclasses import asdict, replace
 
     from kinedex.console.terminal import Terminal
-    from kinedex.ops.simulation.cameras import CameraRing
-    from kinedex.ops.simulation.failures import LONG, FailureRate
-    from kinedex.ops.simulation.keypoints import Detector
-    from kinedex.ops.simulation.recording import Setup
+    from kinedex.ops.simulation.recording import LONG, CameraRing, Detector, FailureRate, Setup
     from kinedex.ops.wording import counted
     from kinedex.pipelines.simulation.camera_recordings import RECORDINGS, Request, simulate_cameras
 

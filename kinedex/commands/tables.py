@@ -28,8 +28,7 @@ from kinedex.commands.output import ROWS, is_for_people, print_json, print_messa
 from kinedex.commands.pages import Pages
 from kinedex.commands.store_access import open_for_reading
 from kinedex.ops.errors import KinedexError, did_you_mean
-from kinedex.ops.escapes import visible
-from kinedex.ops.wording import counted, few
+from kinedex.ops.wording import counted, few, visible
 
 if TYPE_CHECKING:
     import pyarrow as pa

@@ -24,7 +24,7 @@ from kinedex.commands.output import print_json, print_message, print_path, show_
 from kinedex.commands.pages import Pages
 from kinedex.commands.store_access import open_for_reading
 from kinedex.ops.errors import KinedexError
-from kinedex.ops.escapes import visible
+from kinedex.ops.wording import visible
 
 if TYPE_CHECKING:
     import pyarrow as pa
@@ -89,8 +89,8 @@ def show(
 
     The page names the origin of the template, and how much the clips agree about each feature.
     """
-    from kinedex.catalog.template_files import NamedTemplate
     from kinedex.console.terminal import make_console
+    from kinedex.ops.templates.templates import NamedTemplate
     from kinedex.pipelines.templates.stored_templates import choose_template, write_template
     from kinedex.pipelines.templates.template_text import heading, template_lines
     from kinedex.reports.matrix_figures import write_figure

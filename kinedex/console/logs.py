@@ -12,7 +12,7 @@ from datetime import UTC, datetime
 from pathlib import Path
 
 from kinedex.ops.errors import KinedexError
-from kinedex.ops.escapes import json_escaped, visible_lines
+from kinedex.ops.wording import json_escaped, visible_lines
 
 _STANDARD = frozenset((*vars(logging.makeLogRecord({})), "message", "asctime"))
 """The attributes that every record has; all others are fields that the code which logged has added."""

@@ -8,7 +8,7 @@ from collections.abc import Iterable
 from io import TextIOWrapper
 from typing import Any, TextIO
 
-from kinedex.ops.escapes import visible_text
+from kinedex.ops.wording import visible_text
 
 
 class EscapedStream:

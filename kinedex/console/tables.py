@@ -20,8 +20,7 @@ from rich.table import Table
 from rich.text import Text
 
 from kinedex.ops.errors import KinedexError, did_you_mean
-from kinedex.ops.escapes import visible, visible_text
-from kinedex.ops.wording import counted, few
+from kinedex.ops.wording import counted, few, visible, visible_text
 from kinedex.pipelines.engine.display import Line, ResultTable
 from kinedex.storage.formats.csv_tables import csv_line
 from kinedex.storage.formats.json_text import json_text, json_value

@@ -14,7 +14,7 @@ from rich.segment import Segment
 
 from kinedex.console.pulse import Pulse
 from kinedex.console.streams import unescaped
-from kinedex.ops.escapes import visible, visible_lines, visible_text
+from kinedex.ops.wording import visible, visible_lines, visible_text
 
 if TYPE_CHECKING:
     from kinedex.pipelines.engine.display import Line, ResultTable

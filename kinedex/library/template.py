@@ -10,13 +10,13 @@ import numpy as np
 import numpy.typing as npt
 
 from kinedex.catalog.features import FeatureSet, load_feature_set
-from kinedex.catalog.template_files import NamedTemplate, read_templates
+from kinedex.catalog.template_files import read_templates
 from kinedex.library.arguments import checked_methods
 from kinedex.library.take import ANALYSIS_RATE_HZ, FEATURES, Take
 from kinedex.ops.errors import KinedexError, did_you_mean
 from kinedex.ops.intervals import in_seconds
 from kinedex.ops.templates.derived_templates import Contrast, contrast
-from kinedex.ops.templates.templates import Kind
+from kinedex.ops.templates.templates import Kind, NamedTemplate
 from kinedex.ops.words import ALL_KNOWN, U64
 from kinedex.pipelines.templates.learning import (
     SubclassTemplate,

@@ -1,11 +1,13 @@
 """This module finds the direction that a body faces on the ground, and moves motions to the origin, facing +Z.
 
-Positions are in metres with Y up; the left of a body that faces +Z points to +X.
+Positions are in metres with Y up; the left of a body that faces +Z points to +X. It also mirrors motions across the
+plane x = 0, with left and right exchanged.
 """
 
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -97,3 +99,41 @@ def placement_of(root: F64, left: F64, right: F64) -> Placement:
     if not (np.isfinite(root).all() and math.isfinite(yaw)):
         raise ParameterError("the body", "with a root and both hips or both shoulders", "unknown places")
     return Placement(float(root[0]), float(root[2]), yaw)
+
+
+def mirrored_names(names: Sequence[str]) -> list[str]:
+    """Return for each named joint the name of its mirror image: lhip for rhip, root for root.
+
+    A name that begins with l or r has a mirror image where the other one is among the names, too.
+    """
+    known = set(names)
+    others = {name: {"l": "r", "r": "l"}.get(name[:1], "") + name[1:] for name in names}
+    return [others[name] if others[name] in known and name[:1] in "lr" else name for name in names]
+
+
+def mirrored_places(places: F64, names: Sequence[str]) -> F64:
+    """Return the joint positions of a body's mirror image.
+
+    Parameters
+    ----------
+    places : float array (T, J, 3)
+        Places of joints; NaN where a joint is not known.
+    names : sequence of str
+        The J joints; those that begin with l and r are pairs (`mirrored_names`).
+
+    Returns
+    -------
+    float array (T, J, 3)
+        Joint by joint in the order of the names. Mirroring twice restores the positions exactly.
+    """
+    index = {name: j for j, name in enumerate(names)}
+    order = np.array([index[name] for name in mirrored_names(names)], np.int64)
+    return places[:, order] * np.array([-1, 1, 1], places.dtype)
+
+
+def mirrored_quaternions(turns: F64) -> F64:
+    """Return the orientations of mirror images, float array (…, 4) w, x, y, z.
+
+    They belong to a body whose own axes are mirrored, too: its left is +X as before.
+    """
+    return turns * np.array([1, 1, -1, -1], turns.dtype)

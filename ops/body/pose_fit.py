@@ -242,7 +242,7 @@ def _fit(chain: ChainArrays, points: F64, weight: float, steps: int, tolerance: 
     hessian, damped, gradient, step = np.empty((size, size)), np.empty((size, size)), np.empty(size), np.empty(size)
     place, turn = np.empty(3), np.empty((nodes, 3, 3))
     turned, centres = np.empty((nodes, 3, 3)), np.empty((nodes, 3))
-    joints, columns = np.empty((len(chain.joint_nodes), 3)), np.empty((size, 4))
+    joints = np.empty((len(chain.joint_nodes), 3))
     for t in range(len(points)):
         cost = _cost(chain, places[t], turns[t], points[t], weight, turned, centres, joints)
         damping, fresh = _DAMPING, True
@@ -251,7 +251,7 @@ def _fit(chain: ChainArrays, points: F64, weight: float, steps: int, tolerance: 
                 pose_nodes(chain, places[t], turns[t], turned, centres)
                 pose_joints(chain, turned, centres, joints)
                 hessian[:], gradient[:] = 0.0, 0.0
-                _add_points(chain, turned, centres, joints, points[t], weight, columns, hessian, gradient)
+                _add_points(chain, turned, centres, joints, points[t], weight, hessian, gradient)
                 add_rest_terms(chain, turns[t], hessian, gradient)
             copy_table(damped, hessian)
             for i in range(size):
@@ -291,10 +291,10 @@ def _cost(
 
 @njit(cache=True, nogil=True)
 def _add_points(
-    chain: ChainArrays, turned: F64, centres: F64, joints: F64, points: F64, weight: float, columns: F64,
-    hessian: F64, gradient: F64,
-) -> None:  # fmt: skip
+    chain: ChainArrays, turned: F64, centres: F64, joints: F64, points: F64, weight: float, hessian: F64, gradient: F64
+) -> None:
     """Add the squared distances of joints to their points to the lower half of H, and to g."""
+    columns = np.empty((len(gradient), 4))
     for j in range(len(joints)):
         x, y, z = joints[j, 0] - points[j, 0], joints[j, 1] - points[j, 1], joints[j, 2] - points[j, 2]
         if np.isnan(x + y + z):

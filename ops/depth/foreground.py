@@ -8,6 +8,8 @@ others get the median of their window.
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 from numba import njit
 
@@ -28,6 +30,33 @@ LEAST_NEIGHBOURS, MOST_FROM_MEDIAN_M = 5, 0.10
 
 # Sensors report whole millimetres; in float32 a difference of exactly 0.10 m may not be below 0.10.
 _ROUNDING_M = 1e-6
+
+
+class PointArrays(NamedTuple):
+    """Preallocated arrays for the points of frames of h rows and w columns.
+
+    Parameters
+    ----------
+    directions : float64 array (h, w, 3)
+        The point (x, y, 1) on the ray of each pixel.
+    points : float64 array (h · w, 3)
+        The place of each point in metres.
+    pixels : int32 array (h · w, 2)
+        Its column and row.
+    numbers : int32 array (h, w)
+        The point of each pixel; −1 where there is none.
+    depth : float32 array (h, w)
+        The cleaned depths.
+    box : int64 array (4,)
+        First column, first row, and the column and row after the last, of all points.
+    """
+
+    directions: F64
+    points: F64
+    pixels: I32
+    numbers: I32
+    depth: F32
+    box: I64
 
 
 def depth_limits(background: F32 | None, rises: F64, floor_height: float | None, far: float) -> F32:
@@ -134,38 +163,26 @@ def find_foreground(image: F32, limits: F32, near: np.float32, foreground: F32, 
 
 
 @njit(cache=True, nogil=True)
-def remove_noise(
-    foreground: F32, directions: F64, runs: I64, rows: F32,
-    points: F64, pixels: I32, numbers: I32, depth: F32, box: I64,
-) -> int:  # fmt: skip
+def remove_noise(foreground: F32, runs: I64, rows: F32, found: PointArrays) -> int:
     """Clear the former frame's box, number the pixels that are kept, set the new box, and return their count.
 
     Parameters
     ----------
     foreground : float32 array (h + 2, w + 2)
         The foreground, see `find_foreground`.
-    directions : float64 array (h, w, 3)
-        The point (x, y, 1) on the ray of each pixel.
     runs : int64 array (h, 2)
         The foreground's columns in each row.
     rows : float32 array (5, w + 2)
         Work memory for the sorted columns and the medians of a row.
-    points : float64 array (h · w, 3)
-        Receives the place of each point in metres.
-    pixels : int32 array (h · w, 2)
-        Receives its column and row.
-    numbers : int32 array (h, w)
-        Receives the point of each pixel; −1 where there is none.
-    depth : float32 array (h, w)
-        Receives the cleaned depths.
-    box : int64 array (4,)
-        The former frame's box; receives that of this frame.
+    found : PointArrays
+        Receives the points.
 
     Returns
     -------
     int
         The number of points.
     """
+    pixels, numbers, depth, box = found.pixels, found.numbers, found.depth, found.box
     for v in range(box[1], box[3]):
         numbers[v, box[0] : box[2]] = -1
         depth[v, box[0] : box[2]] = 0.0
@@ -173,7 +190,7 @@ def remove_noise(
     for v in range(numbers.shape[0]):
         left, right, former = runs[v, 0], runs[v, 1], n
         if left < right:
-            n = _clean_run(foreground, rows, v, left, right, np.int64(n), directions, points, pixels, depth)
+            n = _clean_run(foreground, rows, v, left, right, np.int64(n), found)
         for k in range(former, n):
             numbers[v, pixels[k, 0]] = k
         if n > former:
@@ -185,11 +202,9 @@ def remove_noise(
 
 
 @njit(cache=True, nogil=True)
-def _clean_run(
-    foreground: F32, rows: F32, v: int, left: int, right: int, n: int,
-    directions: F64, points: F64, pixels: I32, depth: F32,
-) -> int:  # fmt: skip
+def _clean_run(foreground: F32, rows: F32, v: int, left: int, right: int, n: int, found: PointArrays) -> int:
     """Write the kept pixels among some columns of a row, after the first n points, and return the new count."""
+    directions, points, pixels, depth = found.directions, found.points, found.pixels, found.depth
     size = right - left + 2
     lows, middles, highs, counts, medians = (
         rows[0, :size], rows[1, :size], rows[2, :size], rows[3, :size], rows[4, : size - 2]

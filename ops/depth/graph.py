@@ -2,7 +2,13 @@
 
 Two points are joined if their pixels are adjacent (8-neighbours) and they lie closer than a threshold. Small components
 are noise. The largest one is the body; the others join it one by one, always the nearest next, by an edge between the
-closest pair of points.
+closest pair of points. Several people in a frame are separated by these components, so that the points of one of them
+can be tracked.
+
+The components are linked by edges between the closest pairs of points. The nodes of a component are gathered in blocks:
+tiles of 8 × 8 pixels, with the box in space that holds their points. The computed distance to a box is never above the
+computed distance to a point in it, even with rounding errors. So blocks farther than the closest pair so far are
+skipped, and the result is exact.
 """
 
 from __future__ import annotations
@@ -13,8 +19,18 @@ import numpy as np
 from numba import njit
 
 from kinedex.ops.arrays import F32, F64, I32, I64, Bool
-from kinedex.ops.depth.component_links import LinkRoom, link_components, link_room
+from kinedex.ops.copies import copy_row
 from kinedex.ops.depth.points import FrameCloud
+
+MOST_LINK_M = 0.5
+"""Greatest distance in metres from the body at which a component still belongs to it."""
+
+TILE_BITS = 3
+"""Base-2 logarithm of a block's width and height in pixels."""
+
+MOST_TILES = 1 << 14 >> TILE_BITS
+"""Maximum number of tiles in a row: images have fewer than 2¹⁴ columns."""
+
 
 EDGE_M = 0.06
 """Distance in metres below which neighbouring points are joined by an edge."""
@@ -30,6 +46,233 @@ LEAST_NODES = 12
 
 FORWARD = 4
 """Number of neighbours of a pixel that follow it row by row: right, and three below."""
+
+PERSON_POINTS, APART_M = 500, 0.3
+"""Two components with more points than the first, and farther apart in metres than the second, are two people."""
+
+_SAMPLE = 400  # most points of a component between which distances are measured
+
+
+class LinkRoom(NamedTuple):
+    """Preallocated arrays for finding links, for at most N points and K components.
+
+    Attributes
+    ----------
+    order, keys, counts : int32 array (N,), (2, N), at least (N + 1,)
+        The nodes sorted by component and tile; the tile of each node and a preliminary order; counts of the sort.
+    blocks, firsts : int32 array (N + 1,), (K + 1,)
+        The offset of each block in the order, and the index of the first block of each component.
+    boxes : float64 array (N, 2, 3)
+        The minimum and maximum coordinates of each block.
+    squares : float64 array (K,)
+        The squared distance of each component to the components linked so far (the body).
+    closest : int32 array (K, 2)
+        For each component the closest pair of nodes: one of the body, one of the component.
+    joined : bool array (K,)
+        True for components that are linked to the body.
+    pairs, spans : int32 array (K, 2), float64 array (K,)
+        The links: both nodes, and the distance in metres.
+    """
+
+    order: I32
+    keys: I32
+    counts: I32
+    blocks: I32
+    firsts: I32
+    boxes: F64
+    squares: F64
+    closest: I32
+    joined: Bool
+    pairs: I32
+    spans: F64
+
+
+def link_room(most: int, components: int) -> LinkRoom:
+    """Allocate the arrays for frames with at most the given numbers of points and components."""
+    return LinkRoom(
+        np.zeros(most, np.int32),
+        np.zeros((2, most), np.int32),
+        np.zeros(max(most, MOST_TILES) + 1, np.int32),
+        np.zeros(most + 1, np.int32),
+        np.zeros(components + 1, np.int32),
+        np.zeros((most, 2, 3)),
+        np.zeros(components),
+        np.zeros((components, 2), np.int32),
+        np.zeros(components, np.bool_),
+        np.zeros((components, 2), np.int32),
+        np.zeros(components),
+    )
+
+
+@njit(cache=True, nogil=True)
+def link_components(
+    points: F64, pixels: I32, labels: I32, sizes: I32, components: int, body: Bool, room: LinkRoom
+) -> int:
+    """Link components to the largest one, the nearest first, and return the number of links.
+
+    Parameters
+    ----------
+    points : float64 array (n, 3)
+        Places in metres.
+    pixels : int32 array (n, 2)
+        Column and row of each.
+    labels : int32 array (N,)
+        The component of each point; −1 for none.
+    sizes : int32 array (N,)
+        The number of points of each component.
+    components : int
+        Their number.
+    body : bool array (N,)
+        Out: True for points of the body.
+    room : LinkRoom
+        Out: the links in `pairs` and `spans`.
+
+    Returns
+    -------
+    int
+        The number of links.
+    """
+    n, links = len(points), 0
+    if components == 0:
+        body[:n] = False
+        return 0
+    joined, squares = room.joined, room.squares
+    joined[:components] = False
+    newest = 0
+    for c in range(components):
+        newest = c if sizes[c] > sizes[newest] else newest
+        squares[c] = MOST_LINK_M * MOST_LINK_M
+        room.closest[c, 0] = -1
+    joined[newest] = True
+    if components > 1:
+        _gather_blocks(points, pixels, labels, components, room)
+    while components > 1:
+        nearest = -1
+        for c in range(components):
+            if not joined[c]:
+                _update_closest(points, np.int64(newest), c, room)
+                if room.closest[c, 0] >= 0 and (nearest < 0 or squares[c] < squares[nearest]):
+                    nearest = c
+        if nearest < 0:
+            break
+        copy_row(room.pairs[links], room.closest[nearest])
+        room.spans[links] = np.sqrt(squares[nearest])
+        joined[nearest] = True
+        newest = nearest
+        links += 1
+    for i in range(n):
+        body[i] = labels[i] >= 0 and joined[labels[i]]
+    return links
+
+
+@njit(cache=True, nogil=True)
+def _gather_blocks(points: F64, pixels: I32, labels: I32, components: int, room: LinkRoom) -> None:
+    """Sort the nodes by component and tile, and compute the bounding boxes of their blocks."""
+    order, blocks, firsts, boxes = room.order, room.blocks, room.firsts, room.boxes
+    kept = _sort_nodes(pixels, labels, components, room)
+    count, component, tile = 0, -1, -1
+    for k in range(kept):
+        i = order[k]
+        if labels[i] != component or room.keys[0, i] != tile:
+            if labels[i] != component:
+                firsts[labels[i]] = count
+            component, tile = labels[i], room.keys[0, i]
+            blocks[count] = k
+            copy_row(boxes[count, 0], points[i])
+            copy_row(boxes[count, 1], points[i])
+            count += 1
+        for axis in range(3):
+            boxes[count - 1, 0, axis] = min(boxes[count - 1, 0, axis], points[i, axis])
+            boxes[count - 1, 1, axis] = max(boxes[count - 1, 1, axis], points[i, axis])
+    blocks[count], firsts[components] = kept, count
+
+
+@njit(cache=True, nogil=True)
+def _sort_nodes(pixels: I32, labels: I32, components: int, room: LinkRoom) -> int:
+    """Sort the nodes by component, column of tiles and row of tiles, and return their number."""
+    n = len(pixels)
+    order, (tiles, passing), counts = room.order, room.keys, room.counts
+    left, right, top = pixels[0, 0], pixels[0, 0], pixels[0, 1]
+    for i in range(n):
+        left, right = min(left, pixels[i, 0]), max(right, pixels[i, 0])
+    columns = ((right - left) >> TILE_BITS) + 1
+    counts[: columns + 1] = 0
+    for i in range(n):
+        counts[((pixels[i, 0] - left) >> TILE_BITS) + 1] += 1
+    for column in range(columns):
+        counts[column + 1] += counts[column]
+    for i in range(n):  # rows ascend with the nodes, so a stable sort by column leaves rows of tiles together
+        column = (pixels[i, 0] - left) >> TILE_BITS
+        tiles[i] = ((pixels[i, 1] - top) >> TILE_BITS) * columns + column
+        passing[counts[column]] = i
+        counts[column] += 1
+    counts[: components + 1] = 0
+    for i in range(n):
+        if labels[i] >= 0:
+            counts[labels[i] + 1] += 1
+    for c in range(components):
+        counts[c + 1] += counts[c]
+    kept = counts[components]
+    for k in range(n):
+        i = passing[k]
+        if labels[i] >= 0:
+            order[counts[labels[i]]] = i
+            counts[labels[i]] += 1
+    return kept
+
+
+@njit(cache=True, nogil=True)
+def _update_closest(points: F64, grown: int, component: int, room: LinkRoom) -> None:
+    """Update the closest pairs after a component joined the body; ties go to the lowest nodes, the body's first."""
+    boxes, firsts = room.boxes, room.firsts
+    for skip_far in (True, False):  # the nearest pair of blocks first: its distance excludes most other blocks
+        near, near_a, near_b = np.inf, -1, -1
+        for a in range(firsts[grown], firsts[grown + 1]):
+            for b in range(firsts[component], firsts[component + 1]):
+                bound = _box_square(boxes[a], boxes[b])
+                if skip_far and bound < near:
+                    near, near_a, near_b = bound, a, b
+                elif not skip_far and bound <= room.squares[component]:
+                    _compare_blocks(points, np.int64(a), np.int64(b), component, room)
+        if skip_far and near <= room.squares[component]:
+            _compare_blocks(points, np.int64(near_a), np.int64(near_b), component, room)
+
+
+@njit(cache=True, nogil=True)
+def _compare_blocks(points: F64, a: int, b: int, component: int, room: LinkRoom) -> None:
+    order, blocks, closest, squares = room.order, room.blocks, room.closest, room.squares
+    low, high = room.boxes[b, 0], room.boxes[b, 1]
+    for k in range(blocks[a], blocks[a + 1]):
+        i = order[k]
+        x, y, z = points[i, 0], points[i, 1], points[i, 2]
+        dx, dy, dz = (
+            max(low[0] - x, x - high[0], 0.0),
+            max(low[1] - y, y - high[1], 0.0),
+            max(low[2] - z, z - high[2], 0.0),
+        )
+        if dx * dx + dy * dy + dz * dz > squares[component]:
+            continue
+        for m in range(blocks[b], blocks[b + 1]):
+            j = order[m]
+            dx, dy, dz = points[j, 0] - x, points[j, 1] - y, points[j, 2] - z
+            square = dx * dx + dy * dy + dz * dz
+            if square < squares[component] or (
+                square == squares[component]
+                and closest[component, 0] >= 0
+                and (i < closest[component, 0] or (i == closest[component, 0] and j < closest[component, 1]))
+            ):
+                squares[component] = square
+                closest[component, 0], closest[component, 1] = i, j
+
+
+@njit(cache=True, nogil=True)
+def _box_square(one: F64, other: F64) -> float:
+    """Return the squared distance between two boxes."""
+    total = 0.0
+    for axis in range(3):
+        gap = max(one[0, axis] - other[1, axis], other[0, axis] - one[1, axis], 0.0)
+        total += gap * gap
+    return total
 
 
 class PointGraph(NamedTuple):
@@ -157,10 +400,7 @@ def build_graph(cloud: FrameCloud, threshold: float = EDGE_M, room: GraphRoom | 
     _join_neighbours(cloud.points, cloud.pixels, cloud.numbers, threshold, room.ahead, room.spans, room.parents)
     components = _label_components(n, room.parents, room.labels, room.sizes)
     links = link_components(cloud.points, cloud.pixels, room.labels, room.sizes, components, room.body, room.links)
-    pairs, spans = room.links.pairs, room.links.spans
-    _pack_edges(
-        n, room.ahead, room.spans, pairs[:links], spans, room.starts, room.cursors, room.neighbours, room.lengths
-    )
+    _pack_edges(n, links, room)
     edges = int(room.starts[n])
     return PointGraph(
         room.starts[: n + 1],
@@ -253,11 +493,9 @@ def _label_components(n: int, parents: I32, labels: I32, sizes: I32) -> int:
 
 
 @njit(cache=True, nogil=True)
-def _pack_edges(
-    n: int, ahead: I32, spans: F64, pairs: I32, pair_spans: F64, starts: I32, cursors: I32, neighbours: I32,
-    lengths: F64,
-) -> None:  # fmt: skip
+def _pack_edges(n: int, links: int, room: GraphRoom) -> None:
     """Write the edges of all nodes one node after the other, each node's neighbours ascending and its links last."""
+    ahead, starts, cursors, pairs = room.ahead, room.starts, room.cursors, room.links.pairs[:links]
     cursors[: n + 1] = 0
     for i in range(n):
         for k in range(FORWARD):
@@ -277,14 +515,98 @@ def _pack_edges(
         for k in range(FORWARD):
             j = ahead[i, k]
             if j >= 0:
-                _write_edge(i, j, spans[i, k], cursors, neighbours, lengths)
+                _write_edge(i, j, room.spans[i, k], room)
     for k in range(len(pairs)):
-        _write_edge(pairs[k, 0], pairs[k, 1], pair_spans[k], cursors, neighbours, lengths)
+        _write_edge(pairs[k, 0], pairs[k, 1], room.links.spans[k], room)
 
 
 @njit(cache=True, nogil=True)
-def _write_edge(one: int, other: int, span: float, cursors: I32, neighbours: I32, lengths: F64) -> None:
+def _write_edge(one: int, other: int, span: float, room: GraphRoom) -> None:
+    cursors, neighbours, lengths = room.cursors, room.neighbours, room.lengths
     neighbours[cursors[one]], lengths[cursors[one]] = other, span
     neighbours[cursors[other]], lengths[cursors[other]] = one, span
     cursors[one] += 1
     cursors[other] += 1
+
+
+def split_people(cloud: FrameCloud, graph: PointGraph) -> list[I64]:
+    """Return the points of each person in a frame, ordered by their lowest point; empty for one person or none.
+
+    Parameters
+    ----------
+    cloud : FrameCloud
+        The points.
+    graph : PointGraph
+        Their graph.
+
+    Returns
+    -------
+    list of int64 array
+        Ascending indices of points; those of small components belong to the nearest person.
+    """
+    sizes = np.bincount(graph.labels[graph.labels >= 0], minlength=graph.components)
+    large = np.flatnonzero(sizes > PERSON_POINTS)
+    if len(large) < 2:
+        return []
+    members = {label: np.flatnonzero(graph.labels == label) for label in range(graph.components)}
+    people = _united(cloud.points, [members[label] for label in large.tolist()])
+    if len(people) < 2:
+        return []
+    samples = [_sampled(cloud.points, own) for own in people]
+    for label in np.setdiff1d(np.arange(graph.components), large).tolist():
+        some = _sampled(cloud.points, members[label])
+        nearest = int(np.argmin([_apart(some, sample) for sample in samples]))
+        people[nearest] = np.concatenate([people[nearest], members[label]])
+    return [np.sort(own) for own in people]
+
+
+def nearest_person(cloud: FrameCloud, people: list[I64], pose: F64 | None) -> int:
+    """Return the index of the person nearest to a pose (24, 3), or to the image centre if there is no pose."""
+    if pose is not None:
+        middle = pose.mean(axis=0)
+        return int(np.argmin([np.linalg.norm(cloud.points[own].mean(axis=0) - middle) for own in people]))
+    height, width = cloud.numbers.shape
+    centre = np.array([(width - 1) / 2, (height - 1) / 2])
+    return int(np.argmin([np.linalg.norm(cloud.pixels[own].mean(axis=0) - centre) for own in people]))
+
+
+def restrict_cloud(cloud: FrameCloud, rows: I64) -> FrameCloud:
+    """Return a copy of a frame that is restricted to some of its points.
+
+    Parameters
+    ----------
+    cloud : FrameCloud
+        The points.
+    rows : int64 array (n,)
+        Ascending indices of the points to keep, at least one.
+    """
+    pixels = cloud.pixels[rows]
+    numbers, depth = np.full_like(cloud.numbers, -1), np.zeros_like(cloud.depth)
+    at = (pixels[:, 1], pixels[:, 0])
+    numbers[at] = np.arange(len(rows), dtype=np.int32)
+    depth[at] = cloud.depth[at]
+    (u0, v0), (u1, v1) = pixels.min(axis=0).tolist(), (pixels.max(axis=0) + 1).tolist()
+    return cloud._replace(points=cloud.points[rows], pixels=pixels, numbers=numbers, depth=depth, box=(u0, v0, u1, v1))
+
+
+def _united(points: F64, components: list[I64]) -> list[I64]:
+    """Merge components that are not far apart."""
+    people: list[I64] = []
+    for own in components:
+        sample = _sampled(points, own)
+        near = [k for k, other in enumerate(people) if _apart(sample, _sampled(points, other)) <= APART_M]
+        joined = np.concatenate([own, *(people[k] for k in near)])
+        people = [joined if near and k == near[0] else other for k, other in enumerate(people) if k not in near[1:]]
+        if not near:
+            people.append(joined)
+    return people
+
+
+def _sampled(points: F64, rows: I64) -> F64:
+    return points[rows[:: max(1, len(rows) // _SAMPLE)]]
+
+
+def _apart(one: F64, other: F64) -> float:
+    """Return the smallest distance between two samples of points, in metres."""
+    squares = ((one[:, None] - other[None]) ** 2).sum(axis=2)
+    return float(np.sqrt(squares.min()))

@@ -1,9 +1,16 @@
-"""This module looks up poses by geodesic extrema, without knowing which extremum is which body part (thesis, 8.4.3)."""
+"""This module looks up poses by geodesic extrema, without knowing which extremum is which body part (thesis, 8.4.3).
+
+Poses that face other directions than the one assumed so far are proposed, too. Extrema are rotated by the facing
+direction before poses are looked up. If the last pose is wrong, so is its facing direction, and the lookup cannot find
+the right pose. So the first frame tries all directions, two of them with every assignment of end effectors to extrema,
+since a person may lie; later, every third frame tries one more direction, in turn.
+"""
 
 from __future__ import annotations
 
 import itertools
 import math
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numba as nb
@@ -14,7 +21,7 @@ from kinedex.ops.body.joint_tree import JOINTS
 from kinedex.ops.copies import copy_row, copy_table
 from kinedex.ops.depth.pose_database import turn_poses
 from kinedex.ops.depth.pose_distance import COMPARED, END_EFFECTORS
-from kinedex.ops.depth.pose_index import PoseIndex, pose_centres, search
+from kinedex.ops.depth.pose_index import PoseIndex, PoseTree, search
 from kinedex.ops.errors import ParameterError
 
 NEAR_M = 0.5
@@ -35,6 +42,23 @@ APART_M = 0.1
 _LAMBDA = 0.5  # weight of the end effectors' distance in Eq. 8.6; the previous pose's distance has the rest
 _FEET = 12  # number of assignments in which the two lowest extrema are the feet
 _EVERY_MAP = np.array([*itertools.permutations(range(len(END_EFFECTORS)))], np.int64)
+
+TURNS_DEG = (90.0, -90.0, 45.0, -45.0, 135.0, -135.0, 180.0)
+"""Angles in degrees by which the facing direction is rotated, in this order."""
+
+ALL_MAPS_DEG = (0.0, 180.0)
+"""Rotations in degrees for which the first frame tries all assignments of end effectors to extrema; for the others the
+lowest extrema are the feet.
+"""
+
+TURN_FRAMES = 3
+"""Another direction is tried in one of this many frames."""
+
+TURNED_SHARE = 0.85
+"""A pose that faces another direction is accepted if it costs less than this share of the local hypothesis.
+
+From behind, a person looks almost as from the front: the costs of both differ by little, and by chance.
+"""
 
 
 class Proposals(NamedTuple):
@@ -70,6 +94,32 @@ class Proposals(NamedTuple):
     turns: F64
 
 
+class LookupRoom(NamedTuple):
+    """Preallocated arrays for C candidates of at most M maps, with the K nearest poses of each map.
+
+    Parameters
+    ----------
+    maps : int64 array (M, 5)
+        The extremum of each end effector.
+    queries : float32 array (M, 15)
+        The end effectors of each map, facing +Z, relative to the centre.
+    rows, squares, costs : int64, float32 and float64 array (M, K)
+        The nearest poses, their squared distances and their costs.
+    placed : float64 array (C, 24, 3)
+        The candidates.
+    found : int64 array (C, 2)
+        The map and the place among its nearest poses of each candidate.
+    """
+
+    maps: I64
+    queries: F32
+    rows: I64
+    squares: F32
+    costs: F64
+    placed: F64
+    found: I64
+
+
 class Lookup:
     """Proposes poses of a database for the geodesic extrema of frames.
 
@@ -97,13 +147,12 @@ class Lookup:
         self.among = among
         count = min(NEIGHBOURS, len(index.poses))
         most = max(MOST_MAPS + _FEET, len(_EVERY_MAP))
-        self._centres = pose_centres(index.poses)
-        self._maps, self._sums = np.empty((most, 5), np.int64), np.empty(most)
-        self._queries = np.empty((most, 15), np.float32)
-        self._rows, self._squares = np.empty((most, count), np.int64), np.empty((most, count), np.float32)
-        self._costs = np.empty((most, count))
-        self._poses = np.empty((candidates, len(JOINTS), 3))
-        self._found = np.empty((candidates, 2), np.int64)
+        self._sums = np.empty(most)
+        self._room = LookupRoom(
+            np.empty((most, 5), np.int64), np.empty((most, 15), np.float32), np.empty((most, count), np.int64),
+            np.empty((most, count), np.float32), np.empty((most, count)), np.empty((candidates, len(JOINTS), 3)),
+            np.empty((candidates, 2), np.int64),
+        )  # fmt: skip
 
     def propose(
         self,
@@ -143,30 +192,28 @@ class Lookup:
         Proposals
             The candidates and the maps that were tried.
         """
-        maps = 0
+        room, maps = self._room, 0
         if len(extrema) >= 5 and every:
             maps = len(_EVERY_MAP)
-            self._maps[:maps], self._sums[:maps] = _EVERY_MAP, np.nan
+            room.maps[:maps], self._sums[:maps] = _EVERY_MAP, np.nan
         elif len(extrema) >= 5 and previous is not None:
             ends = np.ascontiguousarray(previous[END_EFFECTORS])
-            maps = near_maps(extrema[: self.among], ends, self._maps, self._sums)
+            maps = near_maps(extrema[: self.among], ends, room.maps, self._sums)
         if len(extrema) >= 5 and not every and (previous is None or jumped or not maps):
-            maps = feet_maps(extrema[:5], self._maps, self._sums, maps)
+            maps = feet_maps(extrema[:5], room.maps, self._sums, maps)
         found = _propose(
             extrema, centre, turned_direction(facing, turn_deg),
             np.zeros((len(JOINTS), 3)) if previous is None else previous,
-            previous is not None and compare, maps, self._maps, self.index.poses, self._centres, self._queries,
-            self.index.ordered, self.index.order, self.index.edges, self.index.boxes, self._rows, self._squares,
-            self._costs, self._poses, self._found,
+            previous is not None and compare, maps, self.index.tree, room,
         )  # fmt: skip
-        chosen, places = self._found[:found, 0].copy(), self._found[:found, 1]
+        chosen, places = room.found[:found, 0].copy(), room.found[:found, 1]
         return Proposals(
-            self._poses[:found].copy(),
-            self._rows[chosen, places],
-            self._costs[chosen, places],
-            np.sqrt(self._squares[chosen, places].astype(np.float64) / len(END_EFFECTORS)),
+            room.placed[:found].copy(),
+            room.rows[chosen, places],
+            room.costs[chosen, places],
+            np.sqrt(room.squares[chosen, places].astype(np.float64) / len(END_EFFECTORS)),
             chosen,
-            self._maps[:maps].copy(),
+            room.maps[:maps].copy(),
             self._sums[:maps].copy(),
             np.full(found, turn_deg),
         )
@@ -278,11 +325,11 @@ def _distance(pose: F64, other: F64) -> float:
 
 @nb.njit(cache=True, nogil=True)
 def _propose(
-    extrema: F64, centre: F64, facing: F64, previous: F64, compare: bool, count: int, maps: I64, poses: F64,
-    centres: F64, queries: F32, ordered: F32, order: I64, edges: I64, boxes: F32, rows: I64, squares: F32, costs: F64,
-    placed: F64, found: I64,
-) -> int:  # fmt: skip
+    extrema: F64, centre: F64, facing: F64, previous: F64, compare: bool, count: int, tree: PoseTree, room: LookupRoom
+) -> int:
     """Retrieve poses for every map, place the cheapest ones that differ enough, and return their number."""
+    poses, centres = tree.poses, tree.centres
+    maps, queries, rows, squares, costs, placed, found = room
     turned = extrema - centre
     turn_poses(turned, -facing[0], facing[2])
     before = previous - centre
@@ -292,7 +339,7 @@ def _propose(
             for axis in range(3):
                 queries[m, 3 * e + axis] = turned[maps[m, e], axis]
     rows[:count], squares[:count] = -1, np.inf
-    search(queries[:count], ordered, order, edges, boxes, rows[:count], squares[:count])
+    search(queries[:count], tree, rows[:count], squares[:count])
     for m in range(count):
         for k in range(rows.shape[1]):
             costs[m, k] = np.sqrt(float(squares[m, k]) / 5.0)
@@ -317,3 +364,80 @@ def _propose(
             found[taken, 0], found[taken, 1] = m, k
             taken += 1
     return taken
+
+
+def propose_start(lookup: Lookup, extrema: F64, centre: F64, facing: F64) -> Proposals:
+    """Propose poses that face any direction, without using a previous pose.
+
+    Parameters
+    ----------
+    lookup : Lookup
+        The pose database.
+    extrema : float64 array (N, 3)
+        The geodesic extrema in metres.
+    centre : float64 array (3,)
+        The centre of the points.
+    facing : float64 array (3,)
+        The direction that the person probably faces, which comes first.
+
+    Returns
+    -------
+    Proposals
+        The candidates of all directions, one direction after the other.
+    """
+    turns = (0.0, *TURNS_DEG)
+    return _joined(
+        [lookup.propose(extrema, centre, facing, None, every=turn in ALL_MAPS_DEG, turn_deg=turn) for turn in turns]
+    )
+
+
+def add_turned(proposals: Proposals, lookup: Lookup, extrema: F64, centre: F64, facing: F64, number: int) -> Proposals:
+    """Add the best pose that faces another direction, with the lowest extrema as feet, unless it is a candidate.
+
+    Parameters
+    ----------
+    proposals : Proposals
+        The candidates of the facing direction.
+    lookup, extrema, centre, facing
+        See `propose_start`.
+    number : int
+        The number of the search: each takes the next one of `TURNS_DEG`.
+
+    Returns
+    -------
+    Proposals
+        The candidates, with the new one at the end.
+    """
+    turn = TURNS_DEG[number % len(TURNS_DEG)]
+    other = lookup.propose(extrema, centre, facing, None, turn_deg=turn)
+    new = np.flatnonzero(~np.isin(other.rows, proposals.rows))[:1]
+    picked = {name: getattr(other, name)[new] for name in ("poses", "rows", "costs", "ends", "origins", "turns")}
+    return _joined([proposals, other._replace(**picked)])
+
+
+def _joined(parts: Sequence[Proposals]) -> Proposals:
+    """Concatenate the candidates of several searches, with their maps."""
+    maps = np.cumsum([0, *(len(one.maps) for one in parts)])
+    origins = np.concatenate([one.origins + first for one, first in zip(parts, maps, strict=False)])
+    columns = {
+        name: np.concatenate([getattr(one, name) for one in parts]) for name in Proposals._fields if name != "origins"
+    }
+    return Proposals(origins=origins, **columns)
+
+
+def best_of_rows(proposals: Proposals, costs: Sequence[float], most: int) -> list[int]:
+    """Return indices of the cheapest candidates, one for each row of the database, sorted by their lookup costs.
+
+    Parameters
+    ----------
+    proposals : Proposals
+        The candidates.
+    costs : sequence of float
+        Their costs in the vote.
+    most : int
+        The most candidates.
+    """
+    best: dict[int, int] = {}
+    for number in np.argsort(costs, kind="stable").tolist():
+        best.setdefault(int(proposals.rows[number]), number)
+    return sorted([*best.values()][:most], key=lambda number: (float(proposals.costs[number]), number))

@@ -18,8 +18,7 @@ import numpy as np
 from numba import njit
 
 from kinedex.ops.arrays import F64, I64
-from kinedex.ops.depth.cones import ConeBody
-from kinedex.ops.depth.pivots import Pivots, moved_joints
+from kinedex.ops.depth.cones import ConeBody, Pivots, moved_joints
 
 
 class MovingCones(NamedTuple):

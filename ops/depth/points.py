@@ -17,6 +17,7 @@ from kinedex.ops.depth.foreground import (
     ABOVE_FLOOR_M,
     FAR_M,
     NEAR_M,
+    PointArrays,
     depth_limits,
     find_foreground,
     float32_below,
@@ -104,8 +105,6 @@ class Preparation:
         Depths of the foreground lie between these, in metres.
     stride : int
         The step of rows and columns at which pixels are used.
-    is_range : bool
-        True where frames and background hold distances along the ray, not z.
     """
 
     def __init__(
@@ -118,7 +117,6 @@ class Preparation:
         far: float = FAR_M,
         *,
         stride: int = 1,
-        is_range: bool = False,
     ) -> None:
         if stride < 1:
             raise ParameterError("stride", "at least 1", stride)
@@ -129,18 +127,19 @@ class Preparation:
         height, width = self.shape
         around = np.eye(3) if turn is None else np.asarray(turn, np.float64)
         a, b = rays[..., 0], rays[..., 1]
-        self._directions = np.ascontiguousarray(np.stack([a, -b, -np.ones_like(a)], axis=-1) @ around.T)
-        self._scales = (1.0 / np.sqrt(1.0 + a * a + b * b)).astype(np.float32) if is_range else None
+        directions = np.ascontiguousarray(np.stack([a, -b, -np.ones_like(a)], axis=-1) @ around.T)
         self._image = np.zeros(self.shape, np.float32)
         wall = None if background is None else self._strided("background", background).copy()
-        self._limits = depth_limits(wall, self._directions[..., 1], floor_height, far)
+        self._limits = depth_limits(wall, directions[..., 1], floor_height, far)
         self._near = float32_below(near)
         self._foreground = np.zeros((height + 2, width + 2), np.float32)
         self._runs = np.zeros((height, 2), np.int64)
         self._rows = np.zeros((5, width + 2), np.float32)
-        self._points, self._pixels = np.zeros((height * width, 3)), np.zeros((height * width, 2), np.int32)
-        self._numbers, self._depth = np.full(self.shape, -1, np.int32), np.zeros(self.shape, np.float32)
-        self._box, self._nearest = np.zeros(4, np.int64), nearest_room(self.shape)
+        self._found = PointArrays(
+            directions, np.zeros((height * width, 3)), np.zeros((height * width, 2), np.int32),
+            np.full(self.shape, -1, np.int32), np.zeros(self.shape, np.float32), np.zeros(4, np.int64),
+        )  # fmt: skip
+        self._nearest = nearest_room(self.shape)
 
     def prepare(self, image: npt.ArrayLike) -> FrameCloud:
         """Return the person's points in a frame.
@@ -162,13 +161,11 @@ class Preparation:
         """
         depths = self._strided("image", image)
         count = find_foreground(depths, self._limits, self._near, self._foreground, self._runs)
-        n = remove_noise(
-            self._foreground, self._directions, self._runs, self._rows,
-            self._points, self._pixels, self._numbers, self._depth, self._box,
-        )  # fmt: skip
-        u0, v0, u1, v1 = self._box.tolist()
+        found = self._found
+        n = remove_noise(self._foreground, self._runs, self._rows, found)
+        u0, v0, u1, v1 = found.box.tolist()
         return FrameCloud(
-            self._points[:n], self._pixels[:n], self._numbers, self._depth, (u0, v0, u1, v1), count, self._nearest
+            found.points[:n], found.pixels[:n], found.numbers, found.depth, (u0, v0, u1, v1), count, self._nearest
         )
 
     def _strided(self, name: str, image: npt.ArrayLike) -> F32:
@@ -176,8 +173,6 @@ class Preparation:
         taken = np.asarray(image)[:: self.stride, :: self.stride]
         if taken.shape != self.shape:
             raise ParameterError(name, f"of shape {self.shape} at stride {self.stride}", taken.shape)
-        if self._scales is not None:
-            return np.multiply(taken, self._scales, out=self._image, casting="same_kind")
         if taken.dtype == np.float32 and taken.flags.c_contiguous:
             return taken
         np.copyto(self._image, taken, casting="same_kind")
@@ -191,10 +186,7 @@ def choose_stride(
     background: npt.ArrayLike | None = None,
     turn: npt.ArrayLike | None = None,
     floor_height: float | None = None,
-    near: float = NEAR_M,
-    far: float = FAR_M,
     *,
-    is_range: bool = False,
     most: int = MOST_POINTS,
 ) -> int:
     """Return the smallest stride at which the median of the first ten frames has at most `most` points.
@@ -205,7 +197,7 @@ def choose_stride(
         The first frames of a recording, in metres; those after the tenth are ignored.
     matrix, distortion
         The camera, see `ray_table`.
-    background, turn, floor_height, near, far, is_range
+    background, turn, floor_height
         See `Preparation`.
     most : int
         The greatest number of points.
@@ -221,7 +213,7 @@ def choose_stride(
     height, width = first[0].shape
     for stride in range(1, max(height, width) + 1):
         rays = ray_table(matrix, distortion, (width, height), stride)
-        work = Preparation(rays, background, turn, floor_height, near, far, stride=stride, is_range=is_range)
+        work = Preparation(rays, background, turn, floor_height, stride=stride)
         if np.median([len(work.prepare(image).points) for image in first]) <= most:
             return stride
     return max(height, width)

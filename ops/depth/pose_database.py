@@ -148,6 +148,36 @@ def turn_poses(points: F64, sine: float, cosine: float) -> None:
         points[j, 2] = cosine * z - sine * x
 
 
+class CellTable(NamedTuple):
+    """The kept poses, hashed by grid cells, as arrays for compiled functions.
+
+    Parameters
+    ----------
+    axes : float32 array (A, 60)
+        The axes of the grid, see `_cell_axes`.
+    steps : int64 array (3 ** A, A)
+        The steps to a cell itself and to its neighbours.
+    reach : float
+        The greatest distance of near poses over all compared coordinates, in metres.
+    kept : float32 array (N, 60)
+        The kept poses, and free places.
+    cells : int64 array (N, A)
+        Their cells.
+    following : int64 array (N,)
+        The kept pose before each one in its slot, −1 for none.
+    heads : int64 array (slots,)
+        The last kept pose of each slot, −1 for none.
+    """
+
+    axes: F32
+    steps: I64
+    reach: float
+    kept: F32
+    cells: I64
+    following: I64
+    heads: I64
+
+
 class PoseThinning:
     """A growing set of poses that keeps a new pose only if no kept pose is near it.
 
@@ -172,14 +202,13 @@ class PoseThinning:
             raise ParameterError("distance", "a positive number of metres", distance)
         self.bone_lengths = np.asarray(bone_lengths, np.float64)
         self.reach = float(distance) * np.sqrt(len(COMPARED))
-        self._axes = _cell_axes()
-        self._steps = np.stack(
-            np.meshgrid(*[np.arange(-1, 2)] * len(self._axes), indexing="ij"), axis=-1
-        ).reshape(-1, len(self._axes))  # fmt: skip
-        self._kept: F32 = np.empty((1024, 3 * len(COMPARED)), np.float32)
-        self._cells: I64 = np.empty((1024, len(self._axes)), np.int64)
-        self._next: I64 = np.empty(1024, np.int64)
-        self._heads: I64 = np.full(4096, -1, np.int64)
+        axes = _cell_axes()
+        steps = np.stack(np.meshgrid(*[np.arange(-1, 2)] * len(axes), indexing="ij"), axis=-1).reshape(-1, len(axes))
+        kept = np.empty((1024, 3 * len(COMPARED)), np.float32)
+        cells = np.empty((1024, len(axes)), np.int64)
+        self._table = CellTable(
+            axes, steps, self.reach, kept, cells, np.empty(1024, np.int64), np.full(4096, -1, np.int64)
+        )
         self.count = 0
 
     def add(self, directions: F32, *, always: bool = False) -> I64:
@@ -198,23 +227,17 @@ class PoseThinning:
             For each pose the index of the kept pose near it, which is its own if it was kept.
         """
         poses = self._compared(directions)
-        while self.count + len(poses) > len(self._kept):
+        while self.count + len(poses) > len(self._table.kept):
             self._grow()
         near: I64 = np.empty(len(poses), np.int64)
-        self.count = _add(
-            poses, self._axes, self._steps, self.reach, always, self._kept, self._cells, self._next, self._heads,
-            self.count, near,
-        )  # fmt: skip
+        self.count = _add(poses, self._table, always, self.count, near)
         return near
 
     def near(self, directions: F32) -> I64:
         """Return for each pose (T, 24, 3) the index of a kept pose near it, −1 if there is none."""
         poses = self._compared(directions)
         near: I64 = np.empty(len(poses), np.int64)
-        _find(
-            poses, self._axes, self._steps, self.reach, self._kept, self._cells, self._next, self._heads, self.count,
-            near,
-        )  # fmt: skip
+        _find(poses, self._table, self.count, near)
         return near
 
     def _compared(self, directions: F32) -> F32:
@@ -223,11 +246,13 @@ class PoseThinning:
 
     def _grow(self) -> None:
         """Double the capacity for kept poses, and rehash their cells."""
-        self._kept, self._cells, self._next = (
-            np.concatenate([array, np.empty_like(array)]) for array in (self._kept, self._cells, self._next)
+        table = self._table
+        kept, cells, following = (
+            np.concatenate([array, np.empty_like(array)]) for array in (table.kept, table.cells, table.following)
         )
-        self._heads = np.full(4 * len(self._kept), -1, np.int64)
-        _list_cells(self._cells, self._next, self._heads, self.count)
+        heads = np.full(4 * len(kept), -1, np.int64)
+        self._table = table._replace(kept=kept, cells=cells, following=following, heads=heads)
+        _list_cells(cells, following, heads, self.count)
 
 
 def thin_poses(directions: F32, bone_lengths: F64, distance: float = DISTANCE_M) -> Thinned:
@@ -304,11 +329,9 @@ def _project(pose: F32, axes: F32, width: float, place: F64, cell: I64) -> None:
 
 
 @nb.njit(cache=True, nogil=True)
-def _near(
-    pose: F32, place: F64, cell: I64, steps: I64, reach: float, kept: F32, cells: I64, following: I64, heads: I64,
-    other: I64,
-) -> int:  # fmt: skip
+def _near(pose: F32, place: F64, cell: I64, table: CellTable, other: I64) -> int:
     """Return the index of a kept pose that is near, −1 if none is; within a cell the newest is compared first."""
+    _, steps, reach, kept, cells, following, heads = table
     most = reach * reach
     for step in steps:
         gap = 0.0
@@ -338,30 +361,26 @@ def _near(
 
 
 @nb.njit(cache=True, nogil=True)
-def _find(
-    poses: F32, axes: F32, steps: I64, reach: float, kept: F32, cells: I64, following: I64, heads: I64, count: int,
-    near: I64,
-) -> None:  # fmt: skip
+def _find(poses: F32, table: CellTable, count: int, near: I64) -> None:
+    axes, reach = table.axes, table.reach
     place, cell, other = np.empty(len(axes)), np.empty(len(axes), np.int64), np.empty(len(axes), np.int64)
     width = reach * (1.0 + 1e-6)
     for t in range(len(poses)):
         _project(poses[t], axes, width, place, cell)
-        near[t] = _near(poses[t], place, cell, steps, reach, kept, cells, following, heads, other) if count else -1
+        near[t] = _near(poses[t], place, cell, table, other) if count else -1
 
 
 @nb.njit(cache=True, nogil=True)
-def _add(
-    poses: F32, axes: F32, steps: I64, reach: float, always: bool, kept: F32, cells: I64, following: I64, heads: I64,
-    count: int, near: I64,
-) -> int:  # fmt: skip
+def _add(poses: F32, table: CellTable, always: bool, count: int, near: I64) -> int:
     """Add poses to the kept ones, write the representative of each, and return the new number of kept poses."""
+    axes, _, reach, kept, cells, following, heads = table
     place, cell, other = np.empty(len(axes)), np.empty(len(axes), np.int64), np.empty(len(axes), np.int64)
     width = reach * (1.0 + 1e-6)
     for t in range(len(poses)):
         _project(poses[t], axes, width, place, cell)
         row = -1
         if not always:
-            row = _near(poses[t], place, cell, steps, reach, kept, cells, following, heads, other)
+            row = _near(poses[t], place, cell, table, other)
         if row < 0:
             row = count
             copy_row(kept[row], poses[t])

@@ -21,11 +21,14 @@ from kinedex.ops.depth.cones import (
     START,
     ConeBody,
     Cones,
+    Pivots,
     Samples,
     nearest_cone,
+    pivots_of,
     place_cones,
     place_samples,
     seen_side,
+    turn_pose,
 )  # fmt: skip
 from kinedex.ops.depth.image_search import DepthView, FrameImage, closest_point, is_hidden, project_samples
 from kinedex.ops.depth.nearest_pixels import nearest_pixels
@@ -41,7 +44,6 @@ from kinedex.ops.depth.normal_equations import (
     moving_cones,
     solve,
 )  # fmt: skip
-from kinedex.ops.depth.pivots import Pivots, pivots_of, turn_pose
 from kinedex.ops.depth.points import FrameCloud
 from kinedex.ops.errors import ParameterError
 
@@ -185,37 +187,20 @@ class PoseFit:
             raise ParameterError("image", "that of a frame: call `look` first", None)
         fitted = np.empty_like(pose) if out is None else out
         fitted[:] = pose
-        _fit(self.body, self.view, self.image, self.room, fitted, steps, sigma[0], sigma[1], form == "printed")
+        _fit(self.body, self.view, self.image, self.room, fitted, steps, sigma, form == "printed")
         return fitted
-
-
-def fit_pose(
-    body: ConeBody,
-    height: float,
-    view: DepthView,
-    pose: F64,
-    cloud: FrameCloud,
-    steps: int = STEPS,
-    sigma_from: float = SIGMA_M[0],
-    sigma_to: float = SIGMA_M[1],
-    form: Form = "best",
-) -> F64:
-    """Fit a pose to the points of one frame; use `PoseFit` for whole recordings."""
-    fit = PoseFit(body, height, view)
-    fit.look(cloud)
-    return fit.fit(np.ascontiguousarray(pose, np.float64), steps, (sigma_from, sigma_to), form)
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def _fit(
     body: FitBody, view: DepthView, image: FrameImage, room: FitRoom, pose: F64, steps: int,
-    sigma_from: float, sigma_to: float, printed: bool,
+    sigmas: tuple[float, float], printed: bool,
 ) -> int:  # fmt: skip
     """Update a pose in place by Gauss–Newton, and return the number of steps."""
     room.guesses[0] = -1
     for step in range(steps):
         share = step / (steps - 1.0) if steps > 1 else 0.0
-        sigma = sigma_from * (sigma_to / sigma_from) ** share
+        sigma = sigmas[0] * (sigmas[1] / sigmas[0]) ** share
         place_cones(body.cones, pose, room.placed)
         place_samples(body.samples, room.placed, room.samples, room.offsets)
         clear_sums(room.sums)

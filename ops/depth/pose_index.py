@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numba as nb
 import numpy as np
 
@@ -33,6 +35,31 @@ def pose_features(poses: F64) -> F32:
     return np.ascontiguousarray(ends.reshape(len(poses), -1), np.float32)
 
 
+class PoseTree(NamedTuple):
+    """A k-d tree as arrays for compiled functions: a complete binary tree, whose root is node 1.
+
+    Parameters
+    ----------
+    poses, centres : float64 array (N, 24, 3), (N, 3)
+        The poses, and the centres of their visible points.
+    features : float32 array (N, 15)
+        The end effectors of the poses in the tree's order.
+    order : int64 array (N,)
+        The pose of each of them.
+    edges : int64 array (nodes, 2)
+        The first place of each node and the one after the last.
+    boxes : float32 array (nodes, 2, 15)
+        The least and the greatest features of each node.
+    """
+
+    poses: F64
+    centres: F64
+    features: F32
+    order: I64
+    edges: I64
+    boxes: F32
+
+
 class PoseIndex:
     """An index that finds poses by the positions of their five end effectors.
 
@@ -50,9 +77,8 @@ class PoseIndex:
         The poses.
     features : float32 array (N, 15)
         Their ends, see `pose_features`.
-    ordered, order, edges, boxes : arrays
-        The features in the order of the tree's leaves, their rows, and for each node of the tree its range of them and
-        the box around that; node n has the children 2n and 2n + 1.
+    tree : PoseTree
+        The tree; node n has the children 2n and 2n + 1.
 
     Raises
     ------
@@ -66,17 +92,18 @@ class PoseIndex:
         self.poses = np.ascontiguousarray(poses, np.float64)
         self.features = pose_features(self.poses)
         depth = max(0, int(np.ceil(np.log2(len(poses) / LEAF))))
-        self.order: I64 = np.arange(len(poses))
-        self.edges: I64 = np.zeros((2 << depth, 2), np.int64)
-        self.boxes: F32 = np.zeros((2 << depth, 2, self.features.shape[1]), np.float32)
-        _halve(self.features, self.order, self.edges, self.boxes, depth)
-        self.ordered = np.ascontiguousarray(self.features[self.order])
+        order: I64 = np.arange(len(poses))
+        edges: I64 = np.zeros((2 << depth, 2), np.int64)
+        boxes: F32 = np.zeros((2 << depth, 2, self.features.shape[1]), np.float32)
+        _halve(self.features, order, edges, boxes, depth)
+        ordered = np.ascontiguousarray(self.features[order])
+        self.tree = PoseTree(self.poses, pose_centres(self.poses), ordered, order, edges, boxes)
 
     @property
     def nbytes(self) -> int:
         """Return the size of poses, features and tree in bytes."""
-        arrays = (self.poses, self.features, self.order, self.edges, self.boxes, self.ordered)
-        return sum(array.nbytes for array in arrays)
+        _, _, *arrays = self.tree
+        return sum(array.nbytes for array in (self.poses, self.features, *arrays))
 
     def nearest(self, features: F32, count: int) -> tuple[I64, F64]:
         """Find the poses whose end effectors are nearest to the queries.
@@ -102,7 +129,7 @@ class PoseIndex:
         shape = (len(features), min(count, len(self.poses)))
         rows, squares = np.full(shape, -1, np.int64), np.full(shape, np.inf, np.float32)
         queries = np.ascontiguousarray(features, np.float32)
-        search(queries, self.ordered, self.order, self.edges, self.boxes, rows, squares)
+        search(queries, self.tree, rows, squares)
         return rows, np.sqrt(squares.astype(np.float64))
 
 
@@ -173,8 +200,9 @@ def _gap(queries: F32, q: int, boxes: F32, node: int) -> np.float32:
 
 
 @nb.njit(cache=True, nogil=True)
-def search(queries: F32, features: F32, order: I64, edges: I64, boxes: F32, rows: I64, squares: F32) -> None:
+def search(queries: F32, tree: PoseTree, rows: I64, squares: F32) -> None:
     """Write the nearest rows and their squared distances; the arrays must be filled with −1 and infinity."""
+    features, order, edges, boxes = tree.features, tree.order, tree.edges, tree.boxes
     leaves = len(edges) // 2
     stack, gaps = np.empty(64, np.int64), np.empty(64, np.float32)
     for q in range(len(queries)):

@@ -1,28 +1,48 @@
-"""This module tracks a person through depth frames: in each, two hypotheses and a vote (thesis, Section 8.4)."""
+"""This module tracks a person through depth frames: in each, two hypotheses and a vote (thesis, Section 8.4).
+
+The pose from which a fit starts is predicted by extrapolating the last movement.
+"""
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import Literal, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
+from numba import njit
 
 from kinedex.ops.arrays import F32, F64, I64, Bool
-from kinedex.ops.body.joint_tree import JOINTS
+from kinedex.ops.body.joint_tree import JOINTS, PARENTS
 from kinedex.ops.depth.cones import ConeBody, body_distance
 from kinedex.ops.depth.extrema import COUNT, ExtremaRoom, extrema_room, find_source, geodesic_extrema, tips_first
 from kinedex.ops.depth.facing_direction import facing_from_points, point_centre, sample_step
-from kinedex.ops.depth.facing_search import TURN_FRAMES, TURNED_SHARE, add_turned, best_of_rows, propose_start
-from kinedex.ops.depth.graph import EDGE_M, GraphRoom, build_graph, edge_threshold, graph_room
+from kinedex.ops.depth.graph import (
+    EDGE_M,
+    GraphRoom,
+    build_graph,
+    edge_threshold,
+    graph_room,
+    nearest_person,
+    restrict_cloud,
+    split_people,
+)
 from kinedex.ops.depth.image_search import DepthView
-from kinedex.ops.depth.lookup import JUMP_M, Lookup, Proposals
-from kinedex.ops.depth.persons import nearest_person, restrict_cloud, split_people
+from kinedex.ops.depth.lookup import (
+    JUMP_M,
+    TURN_FRAMES,
+    TURNED_SHARE,
+    Lookup,
+    Proposals,
+    add_turned,
+    best_of_rows,
+    propose_start,
+)
 from kinedex.ops.depth.points import FrameCloud, Preparation
 from kinedex.ops.depth.pose_database import facing_of, place_directions
 from kinedex.ops.depth.pose_fit import PRINTED_STEPS, RETRIEVED_SIGMA_M, SIGMA_M, STEPS, Form, PoseFit
 from kinedex.ops.depth.pose_index import PoseIndex
-from kinedex.ops.depth.pose_prediction import predicted_pose
 from kinedex.ops.depth.vote import PoseCost, cost_of
 from kinedex.ops.errors import ParameterError
 
@@ -38,6 +58,9 @@ TRIAL_STEPS = 2
 """Number of steps of the short fit by which candidates are compared."""
 
 _TOWARDS = np.array([0.0, 0.0, 1.0])  # the assumed facing direction at a start: towards the camera
+
+SHARE = 0.7
+"""Share of the last movement that is extrapolated, chosen on clips of two actors with two cameras."""
 
 
 @dataclass(frozen=True)
@@ -456,3 +479,40 @@ def cone_joints(body: ConeBody) -> Bool:
     for c in range(len(joints)):
         joints[c, body.joints[c][body.shares[c] > 0]] = True
     return joints
+
+
+def predicted_pose(pose: F64, before: F64, share: float = SHARE) -> F64:
+    """Return the extrapolated pose of the next frame; its bones keep their lengths.
+
+    The root continues by a fraction of its last movement, and each bone's direction by that share of its last change.
+
+    Parameters
+    ----------
+    pose, before : float64 array (24, 3)
+        The last pose and the one before it, on the same bones, in metres.
+    share : float, optional
+        The fraction.
+    """
+    predicted = np.empty_like(pose)
+    _predict(pose, before, share, PARENTS, predicted)
+    return predicted
+
+
+@njit(cache=True, nogil=True)
+def _predict(pose: F64, before: F64, share: float, parents: I64, predicted: F64) -> None:
+    for j in range(len(parents)):
+        parent = parents[j]
+        if parent < 0:
+            for axis in range(3):
+                predicted[j, axis] = pose[j, axis] + share * (pose[j, axis] - before[j, axis])
+            continue
+        square, turned = 0.0, 0.0
+        for axis in range(3):
+            bone = pose[j, axis] - pose[parent, axis]
+            moved = bone + share * (bone - before[j, axis] + before[parent, axis])
+            predicted[j, axis] = moved
+            square += bone * bone
+            turned += moved * moved
+        scale = math.sqrt(square / turned) if turned > 0.0 else 0.0
+        for axis in range(3):
+            predicted[j, axis] = predicted[parent, axis] + scale * predicted[j, axis]

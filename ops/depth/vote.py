@@ -9,9 +9,8 @@ import numpy as np
 from numba import njit
 
 from kinedex.ops.arrays import F64
-from kinedex.ops.depth.cones import ConeBody, nearest_cone, place_cones, place_samples
+from kinedex.ops.depth.cones import nearest_cone, place_cones, place_samples
 from kinedex.ops.depth.image_search import DepthView, FrameImage, closest_point, is_hidden, project_samples
-from kinedex.ops.depth.points import FrameCloud
 from kinedex.ops.depth.pose_fit import SAMPLED_POINTS, FitBody, FitRoom, Form, PoseFit
 from kinedex.ops.errors import ParameterError
 
@@ -71,15 +70,6 @@ def cost_of(fit: PoseFit, pose: F64, extrema: F64, form: Form = "best") -> PoseC
         fit.body, fit.view, fit.image, fit.room, pose, np.ascontiguousarray(extrema), form == "printed"
     )
     return PoseCost(surface + ends + points, surface, ends, points)
-
-
-def pose_cost(
-    body: ConeBody, height: float, view: DepthView, pose: F64, cloud: FrameCloud, extrema: F64, form: Form = "best"
-) -> PoseCost:
-    """Return the cost of a pose in one frame; use `cost_of` for whole recordings."""
-    fit = PoseFit(body, height, view)
-    fit.look(cloud)
-    return cost_of(fit, np.ascontiguousarray(pose, np.float64), np.ascontiguousarray(extrema, np.float64), form)
 
 
 @njit(cache=True, nogil=True, error_model="numpy")

@@ -9,10 +9,10 @@ from typing import Any, NamedTuple
 import numba as nb
 import numpy as np
 
-from kinedex.ops.arrays import F64, I32, I64, Array, Bool
+from kinedex.ops.arrays import F64, I32, I64, U64, Array, Bool
 from kinedex.ops.bits import count_bits
 from kinedex.ops.templates.templates import QuantisedTemplate
-from kinedex.ops.words import NO_WORD, U64
+from kinedex.ops.words import NO_WORD
 
 Table = Array  # float32, float64, or uint16 and uint8 of lower bounds
 

@@ -7,12 +7,12 @@ from typing import NamedTuple
 import numba as nb
 import numpy as np
 
-from kinedex.ops.distances.costs import F64, I32, I64, encode, template_columns
+from kinedex.ops.arrays import F64, I32, I64, U64
+from kinedex.ops.distances.costs import encode, template_columns
 from kinedex.ops.distances.recurrence import step_back
 from kinedex.ops.distances.window_sums import Window, make_window, sum_window
 from kinedex.ops.errors import ParameterError
 from kinedex.ops.templates.templates import QuantisedTemplate
-from kinedex.ops.words import U64
 
 
 class LeastCurve(NamedTuple):

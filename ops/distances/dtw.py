@@ -7,12 +7,11 @@ from typing import Any
 
 import numpy as np
 
-from kinedex.ops.arrays import Array
-from kinedex.ops.distances.costs import I64, cost_table, encode, lay_out
+from kinedex.ops.arrays import I64, U64, Array
+from kinedex.ops.distances.costs import cost_table, encode, lay_out
 from kinedex.ops.distances.sweep import pieces_of, sweep
 from kinedex.ops.ranges import checked_ranges
 from kinedex.ops.templates.templates import QuantisedTemplate
-from kinedex.ops.words import U64
 
 _TABLE_CELLS = 4_000_000  # most cells of a cost table at a time: 32 MB, however long the takes are
 _PIECE = 4096  # frames of a range that are computed independently of its other frames

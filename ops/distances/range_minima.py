@@ -14,13 +14,14 @@ import numba as nb
 import numpy as np
 
 from kinedex.ops.annotation.segments import TOLERANCE, Matches
-from kinedex.ops.distances.costs import F64, I32, I64, CodedWords, TemplateColumns, column_costs, encode, lay_out
+from kinedex.ops.arrays import F64, I32, I64, U64
+from kinedex.ops.distances.costs import CodedWords, TemplateColumns, column_costs, encode, lay_out
 from kinedex.ops.distances.pruning import CoarseBound, pieces_below
 from kinedex.ops.distances.recurrence import path_cost, step_back
 from kinedex.ops.errors import ParameterError
 from kinedex.ops.ranges import checked_ranges
 from kinedex.ops.templates.templates import QuantisedTemplate
-from kinedex.ops.words import NO_WORD, U64
+from kinedex.ops.words import NO_WORD
 
 _NO_WORD = np.uint64(NO_WORD)
 _TABLE_ROWS = 4096  # most words whose costs are in memory at once

@@ -14,7 +14,7 @@ from __future__ import annotations
 import numba as nb
 import numpy as np
 
-from kinedex.ops.distances.costs import F64
+from kinedex.ops.arrays import F64
 
 COARSE_CAP = 255
 """The greatest 8-bit number, at which sums of coarse units saturate."""

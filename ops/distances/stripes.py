@@ -10,10 +10,10 @@ from __future__ import annotations
 import numba as nb
 import numpy as np
 
-from kinedex.ops.arrays import U8
-from kinedex.ops.distances.costs import F64, I32, I64, CodedWords, Layout, TemplateColumns, fill_bounds, in_units
+from kinedex.ops.arrays import F64, I32, I64, U8, U64
+from kinedex.ops.distances.costs import CodedWords, Layout, TemplateColumns, fill_bounds, in_units
 from kinedex.ops.distances.recurrence import COARSE_CAP, coarse_path_cost
-from kinedex.ops.words import NO_WORD, U64
+from kinedex.ops.words import NO_WORD
 
 SLOTS = 64
 """The number of columns side by side in a row: the bytes of the widest vector, and of a cache line."""

@@ -5,9 +5,9 @@ from __future__ import annotations
 import numba as nb
 import numpy as np
 
-from kinedex.ops.arrays import U16
+from kinedex.ops.arrays import I32, I64, U16
 from kinedex.ops.copies import copy_table
-from kinedex.ops.distances.costs import I32, I64, Table
+from kinedex.ops.distances.costs import Table
 from kinedex.ops.distances.recurrence import path_cost
 
 LANES = 4

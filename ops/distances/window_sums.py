@@ -12,9 +12,10 @@ import numba as nb
 import numpy as np
 
 from kinedex.ops.annotation.segments import TOLERANCE
-from kinedex.ops.distances.costs import F64, I32, I64, TemplateColumns, column_costs
+from kinedex.ops.arrays import F64, I32, I64, U64
+from kinedex.ops.distances.costs import TemplateColumns, column_costs
 from kinedex.ops.distances.recurrence import path_cost, step_back
-from kinedex.ops.words import NO_WORD, U64
+from kinedex.ops.words import NO_WORD
 
 _NO_WORD = np.uint64(NO_WORD)
 

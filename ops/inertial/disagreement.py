@@ -17,8 +17,16 @@ from numba import njit
 
 from kinedex.ops.arrays import F64, I64, Bool
 from kinedex.ops.errors import ParameterError
-from kinedex.ops.inertial.quaternion_kernels import angle, inverse_product, product, product_inverse, row
-from kinedex.ops.inertial.rotations import conjugate, multiply, rotate
+from kinedex.ops.inertial.rotations import (
+    angle,
+    conjugate,
+    inverse_product,
+    multiply,
+    product,
+    product_inverse,
+    rotate,
+    row,
+)
 
 TAU_DEG = 45.0
 """The error in degrees above which a frame counts as wrong, as in the thesis."""

@@ -4,7 +4,9 @@ The model is q_I = q̄_G ∘ q_T ∘ q_L (Eq. 7.5): q_I sensor → inertial worl
 segment, q_G inertial world → the take's. The thesis solves it by the method of Park and Martin (Eqs. 7.9 to 7.14),
 which is not robust to wrong frames. Here the best of many hypotheses from few frames is chosen (`hypotheses`), followed
 by reweighted fits, in which wrong frames lose their weight. A fit needs one pass over the frames: the sum of w · (q_Gᵀ
-A q_L)² over frames, with the 4 × 4 matrix A of a frame, depends on them by 136 sums only.
+A q_L)² over frames, with the 4 × 4 matrix A of a frame, depends on them by 136 sums only. The calibration also measures
+how well a take's movements determine a sensor's mount. Heading drift is a slow rotation about the vertical of a sensor
+without a magnetometer; it is corrected.
 """
 
 from __future__ import annotations
@@ -19,11 +21,13 @@ from numba import njit
 
 from kinedex.ops.arrays import F64, I64, Bool
 from kinedex.ops.errors import ParameterError
-from kinedex.ops.inertial.drift import HeadingDrift, fit_drift, heading_deg
 from kinedex.ops.inertial.hypotheses import UPRIGHT, Unit, best_world, world_guesses, worlds_of_mount
-from kinedex.ops.inertial.observability import least_eigenvalues, refusal, warning
-from kinedex.ops.inertial.quaternion_kernels import row
-from kinedex.ops.inertial.rotations import distance_deg, multiply, rotate
+from kinedex.ops.inertial.rotations import conjugate, distance_deg, exp, matrix, multiply, rotate, row
+
+KNOT_S = 20.0
+ROUNDS = 8
+SCALE_DEG, FARTHEST_DEG = 6.0, 25.0
+
 
 SCALES_DEG = (12.0, 6.0, 6.0, 6.0, 6.0, 6.0, 6.0)
 """The scale s of each reweighted fit: the error at which a frame has a quarter of its weight, w = (s²/(s² + e²))²."""
@@ -31,6 +35,105 @@ SCALES_DEG = (12.0, 6.0, 6.0, 6.0, 6.0, 6.0, 6.0)
 STILL_DEG, MOST_STEPS = 1e-6, 30
 DRIFT_ROUNDS = 3
 INLIER_DEG = 15.0
+
+REFUSED, DOUBTFUL = 0.002, 0.02
+"""Eigenvalues below which a mount is refused, and below which it is doubtful."""
+
+TILTED_DEG, FEW = 3.0, 0.4
+"""Tilt of q_G in degrees above which there is a warning, and fraction of fitting frames below which there is one."""
+
+
+@dataclass(frozen=True)
+class HeadingDrift:
+    """A piecewise linear curve of the rotation about Z in degrees that corrects a sensor's orientations.
+
+    Attributes
+    ----------
+    times : float64 array (K,)
+        The knots in seconds of the take; without knots there is no correction.
+    degrees : float64 array (K,)
+        The rotation at each knot.
+    """
+
+    times: F64
+    degrees: F64
+
+    @classmethod
+    def none(cls) -> HeadingDrift:
+        """Return the curve without any correction."""
+        return cls(np.empty(0), np.empty(0))
+
+    def at(self, times: F64) -> F64:
+        """Return the corrections (T,) in degrees at times of the take, constant beyond the first and last knot."""
+        return np.interp(times, self.times, self.degrees) if len(self.times) else np.zeros(len(times))
+
+    def corrected(self, times: F64, sensor: F64) -> F64:
+        """Return the orientations (T, 4) of the sensor in F_GI, with the drift removed."""
+        return multiply(self._turns(times), sensor) if len(self.times) else sensor
+
+    def uncorrected(self, times: F64, sensor: F64) -> F64:
+        """Return orientations (T, 4) as a sensor with this drift would report them."""
+        return multiply(conjugate(self._turns(times)), sensor) if len(self.times) else sensor
+
+    def _turns(self, times: F64) -> F64:
+        return exp(np.radians(self.at(times))[:, None] * np.array([0.0, 0.0, 1.0]))
+
+
+def heading_deg(sensor: F64, track: F64, q_global: F64, q_mount: F64) -> F64:
+    """Return the heading error (T,) of the sensor's orientations in degrees, −180 to 180.
+
+    It is 2·atan2(z, w) of the quaternion q̄_G ∘ q_T ∘ q_L ∘ q̄_I (global, track, mount, sensor).
+    """
+    turn = multiply(multiply(multiply(conjugate(q_global), track), q_mount), conjugate(sensor))
+    heading = np.degrees(2.0 * np.arctan2(turn[:, 3], turn[:, 0]))
+    return 180.0 - (180.0 - heading) % 360.0
+
+
+def fit_drift(times: F64, headings: F64) -> HeadingDrift:
+    """Fit a piecewise linear curve to headings, reweighted so that wrong frames lose their influence.
+
+    Parameters
+    ----------
+    times : float64 array (T,)
+        Seconds of the take, ascending.
+    headings : float64 array (T,)
+        Degrees; see `heading_deg`. Values beyond 25° are ignored.
+
+    Returns
+    -------
+    HeadingDrift
+        Knots every 20 s, at least two; no correction if all headings are ignored.
+    """
+    near = np.abs(headings) <= FARTHEST_DEG
+    if not near.any() or not times[-1] > times[0]:
+        return HeadingDrift.none()
+    knots = np.linspace(times[0], times[-1], max(2, math.ceil((times[-1] - times[0]) / KNOT_S) + 1))
+    times, headings = times[near], headings[near]
+    left = np.clip(np.searchsorted(knots, times, side="right") - 1, 0, len(knots) - 2)
+    share = (times - knots[left]) / (knots[1] - knots[0])
+    # a small stiffness interpolates over knots without frames nearby
+    bend = np.diff(np.eye(len(knots)), 2, axis=0)
+    stiff = 1e-6 * len(times) * (bend.T @ bend)
+    weights = np.ones(len(times))
+    values = np.zeros(len(knots))
+    for _ in range(ROUNDS):
+        values = _weighted(left, share, headings, weights, stiff)
+        residual = headings - (values[left] * (1.0 - share) + values[left + 1] * share)
+        weights = (SCALE_DEG**2 / (SCALE_DEG**2 + residual**2)) ** 2
+    return HeadingDrift(knots, values)
+
+
+def _weighted(left: I64, share: F64, headings: F64, weights: F64, stiff: F64) -> F64:
+    """Return the headings at the curve's knots, by weighted least squares."""
+    count = len(stiff)
+    hessian = stiff + 1e-12 * np.eye(count)
+    gradient = np.zeros(count)
+    for first, own in ((0, 1.0 - share), (1, share)):
+        gradient += np.bincount(left + first, weights * own * headings, count)
+        for second, other in ((0, 1.0 - share), (1, share)):
+            sums = np.bincount(left, weights * own * other, count - 1)
+            hessian[np.arange(count - 1) + first, np.arange(count - 1) + second] += sums
+    return np.asarray(np.linalg.solve(hessian, gradient), np.float64)
 
 
 @dataclass(frozen=True)
@@ -418,3 +521,94 @@ def _tilt_deg(world: F64) -> float:
     """Return the angle in degrees between the inertial world's vertical and the take's."""
     up = rotate(world, np.array([0.0, 0.0, 1.0]))
     return math.degrees(math.atan2(math.hypot(float(up[0]), float(up[2])), float(up[1])))
+
+
+def least_eigenvalues(units: Sequence[Unit], worlds: F64, weights: Sequence[F64], vertical_known: bool) -> list[float]:
+    """Compute the smallest eigenvalue of each mount's normal matrix, divided by the weights' sum.
+
+    The unknowns are small rotations of q_L and of each q_G that its units have; the row of a frame is [R(q̄_T ∘ q_G),
+    −1]. With one q_G it is 1 − |M|₂, M the weighted mean of R(q̄_T ∘ q_G); with the vertical known, 1 − |M z|.
+
+    Parameters
+    ----------
+    units : sequence of Unit
+        All frames of the calibration.
+    worlds : float64 array (G, 4)
+        q_G of each world.
+    weights : sequence of float64 array (n,)
+        The weights of each unit's frames.
+    vertical_known : bool
+        True if q_G can only rotate about Z.
+
+    Returns
+    -------
+    list of float
+        One value for each mount, 0 to 1; 0 where a direction is undetermined.
+    """
+    values = []
+    for mount in range(1 + max(unit.mount for unit in units)):
+        square, total = np.zeros((3, 3)), 0.0
+        for unit, own in zip(units, weights, strict=True):
+            if unit.mount != mount:
+                continue
+            mass = float(own.sum())
+            mean = np.tensordot(own, matrix(multiply(conjugate(unit.track), worlds[unit.world])), 1)
+            if vertical_known:
+                mean = mean[:, 2:]
+            square += mean @ mean.T / mass if mass > 0.0 else 0.0
+            total += mass
+        largest = float(np.linalg.eigvalsh(square)[-1]) / total if total > 0.0 else 1.0
+        values.append(max(0.0, 1.0 - math.sqrt(max(largest, 0.0))))
+    return values
+
+
+def refusal(limb: str, value: float, level: float, vertical_known: bool, several: bool) -> str:
+    """Return the reason to refuse a limb's mount, with remedies; empty if its movements suffice.
+
+    Parameters
+    ----------
+    limb : str
+        The limb's name.
+    value : float
+        The smallest eigenvalue of this mount, or a larger one of a limb that shares its q_G.
+    level : float
+        The smallest eigenvalue with the vertical known.
+    vertical_known : bool
+        True if the vertical is already known.
+    several : bool
+        True if several takes were already calibrated together.
+    """
+    if value >= REFUSED:
+        return ""
+    about = "the vertical only" if vertical_known or level < REFUSED else "one axis only"
+    ways = ["use a take with other movements"]
+    if not several:
+        ways.append("`from: actor`")
+    if not vertical_known and level >= REFUSED:
+        ways.append("`vertical: known`")
+    listed = ways[0] if len(ways) == 1 else f"{', '.join(ways[:-1])}, or {ways[-1]}"
+    return f"{limb}: turns about {about}, the mount cannot be found; {listed}"
+
+
+def warning(limb: str, value: float, tilt_deg: float, inliers: float) -> str:
+    """Return the reasons why a limb's mount is doubtful; empty if it is not.
+
+    Parameters
+    ----------
+    limb : str
+        The limb's name.
+    value : float
+        The smallest eigenvalue of this mount, or a larger one of a limb that shares its q_G.
+    tilt_deg : float
+        The angle between the inertial world's vertical and the take's.
+    inliers : float
+        The fraction of frames with an error below 15°.
+    """
+    parts = []
+    if value < DOUBTFUL:
+        parts.append(f"hardly turns about a second axis (observability {value:.3f}), the mount is doubtful")
+    if tilt_deg > TILTED_DEG:
+        parts.append(f"the take's vertical is {tilt_deg:.1f}° off gravity's")
+    if inliers < FEW:
+        parts.append(f"only {inliers:.0%} of the frames fit: is it the sensor of this limb, and the offset right?")
+    return f"{limb}: {'; '.join(parts)}" if parts else ""

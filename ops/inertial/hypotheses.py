@@ -15,8 +15,17 @@ from numba import njit
 
 from kinedex.ops.arrays import F64, I64
 from kinedex.ops.copies import copy_row
-from kinedex.ops.inertial.quaternion_kernels import inverse_product, product, row
-from kinedex.ops.inertial.rotations import Z_TO_Y, conjugate, exp, from_matrix, log, multiply
+from kinedex.ops.inertial.rotations import (
+    Z_TO_Y,
+    conjugate,
+    exp,
+    from_matrix,
+    inverse_product,
+    log,
+    multiply,
+    product,
+    row,
+)
 
 MOST_FRAMES, TRIPLES = 300, 300
 LEAST_CROSS = 0.02

@@ -1,12 +1,15 @@
 """This module computes with rotations as unit quaternions w x y z, and with streams of them over time.
 
 A quaternion maps a local frame to a global one: `rotate(q, v)` is the global vector of a local v. `multiply(p, q)`
-applies q first. Signs do not matter: q and −q are the same rotation.
+applies q first. Signs do not matter: q and −q are the same rotation. The kernels do the same for single quaternions.
 """
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
+from numba import njit
 
 from kinedex.ops.arrays import F64, Bool
 from kinedex.ops.body import kinematics, transforms
@@ -19,6 +22,8 @@ LONGEST_GAP_S = 0.05
 """The longest time in seconds between samples over which is interpolated."""
 
 _SMALL = 1e-12  # length of the imaginary part below which the rotation vector is taken as twice that part
+
+Quaternion = tuple[float, float, float, float]
 
 
 def multiply(p: F64, q: F64) -> F64:
@@ -187,3 +192,55 @@ def angular_speed(times: F64, quaternions: F64) -> tuple[F64, F64]:
     speeds = np.full(len(steps), np.nan)
     np.divide(np.sqrt(np.einsum("ta,ta->t", turns, turns)), steps, out=speeds, where=steps > 0.0)
     return 0.5 * (times[1:] + times[:-1]), speeds
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def product(p: Quaternion, q: Quaternion) -> Quaternion:
+    """Return the product p ∘ q."""
+    a, b, c, d = p
+    w, x, y, z = q
+    return (
+        a * w - b * x - c * y - d * z,
+        a * x + b * w + c * z - d * y,
+        a * y - b * z + c * w + d * x,
+        a * z + b * y - c * x + d * w,
+    )
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def inverse_product(p: Quaternion, q: Quaternion) -> Quaternion:
+    """Return p̄ ∘ q, with the conjugate of p."""
+    a, b, c, d = p
+    w, x, y, z = q
+    return (
+        a * w + b * x + c * y + d * z,
+        a * x - b * w - c * z + d * y,
+        a * y + b * z - c * w - d * x,
+        a * z - b * y + c * x - d * w,
+    )
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def product_inverse(p: Quaternion, q: Quaternion) -> Quaternion:
+    """Return p ∘ q̄, with the conjugate of q."""
+    a, b, c, d = p
+    w, x, y, z = q
+    return (
+        a * w + b * x + c * y + d * z,
+        b * w - a * x - c * z + d * y,
+        c * w - a * y + b * z - d * x,
+        d * w - a * z - b * y + c * x,
+    )
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def row(stream: F64, k: int) -> Quaternion:
+    """Return the quaternion in row k of a stream (T, 4)."""
+    return stream[k, 0], stream[k, 1], stream[k, 2], stream[k, 3]
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def angle(q: Quaternion) -> float:
+    """Return the angle of a rotation in radians, 0 to π."""
+    w, x, y, z = q
+    return 2.0 * math.atan2(math.sqrt(x * x + y * y + z * z), abs(w))

@@ -15,8 +15,8 @@ import numpy as np
 from kinedex.ops.arrays import F64
 from kinedex.ops.errors import ParameterError
 from kinedex.ops.inertial.lowpass import lowpass
-from kinedex.ops.inertial.packages import imu_package
 from kinedex.ops.inertial.rotations import Z_TO_Y, conjugate, continuous, exp, log, multiply, rotate
+from kinedex.ops.packages import imu_package
 
 GRAVITY = np.array([0.0, 0.0, 9.81])
 """The reading of an accelerometer at rest in F_GI, in m/s²."""

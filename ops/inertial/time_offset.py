@@ -17,8 +17,7 @@ from numba import njit
 from kinedex.ops.arrays import F64, I64
 from kinedex.ops.errors import ParameterError
 from kinedex.ops.inertial.lowpass import LEAST_PADDING, lowpass
-from kinedex.ops.inertial.quaternion_kernels import angle, inverse_product
-from kinedex.ops.inertial.rotations import LONGEST_GAP_S, angular_speed
+from kinedex.ops.inertial.rotations import LONGEST_GAP_S, angle, angular_speed, inverse_product
 
 RATE_HZ, CUTOFF_HZ = 200.0, 5.0
 CLIP_PERCENTILE = 99.0

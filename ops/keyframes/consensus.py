@@ -11,8 +11,7 @@ import numpy as np
 from kinedex.ops.arrays import F64, U64
 from kinedex.ops.errors import ParameterError
 from kinedex.ops.keyframes.genetic_algorithm import rank_bound, tune_gaps
-from kinedex.ops.keyframes.individuals import Individual
-from kinedex.ops.keyframes.training_task import EvolutionSettings, LearningRun, TrainingTask
+from kinedex.ops.keyframes.training_task import EvolutionSettings, Individual, LearningRun, TrainingTask
 from kinedex.ops.words import bits
 
 AtLeast = Literal["median", "best"]

@@ -17,9 +17,9 @@ from typing import NamedTuple
 import numpy as np
 from numba import njit
 
-from kinedex.ops.arrays import Bool
+from kinedex.ops.arrays import I64, U64, Bool
 from kinedex.ops.errors import ParameterError
-from kinedex.ops.words import I64, MOST_FEATURES, NO_WORD, U64
+from kinedex.ops.words import MOST_FEATURES, NO_WORD
 
 _LANE = 64
 CACHED_BITMAPS = 256

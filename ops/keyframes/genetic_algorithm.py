@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 from numba import njit
 
-from kinedex.ops.arrays import F64
+from kinedex.ops.arrays import F64, I64, U64
 from kinedex.ops.bits import count_bits
 from kinedex.ops.keyframes.fitness import INNER, find_bitmaps, fitness_of, new_workspace, retrieve
 from kinedex.ops.keyframes.genetic_operators import (
@@ -23,17 +23,16 @@ from kinedex.ops.keyframes.genetic_operators import (
     new_population,
     select_parents,
 )
-from kinedex.ops.keyframes.individuals import Individual
 from kinedex.ops.keyframes.training_task import (
     HISTORY_COLUMNS,
     MOST_KEYFRAMES,
     OFFSPRING,
     PARENTS,
     EvolutionSettings,
+    Individual,
     LearningRun,
     TrainingTask,
 )
-from kinedex.ops.words import I64, U64
 
 BETA = 2.0
 """The weight of recall relative to precision in the fitness (thesis, Eq. 4.11)."""
@@ -63,8 +62,7 @@ def evolve(task: TrainingTask, settings: EvolutionSettings, seed: int | tuple[in
     sizes = (settings.population, PARENTS, settings.generations)
     operators = OperatorSettings(least=settings.least_keyframes, open_share=float(settings.open_share))
     best, evaluated = _evolve(
-        _random(seed), population, _clips(task), _columns(task), space, history, sizes, operators,
-        _fitness_settings(settings, task),
+        _random(seed), population, _columns(task), space, history, sizes, operators, _criteria(settings, task)
     )  # fmt: skip
     return _learning_run(population, best, history, evaluated)
 
@@ -110,8 +108,7 @@ def tune_gaps(
     space = new_workspace(task.frames, most)
     tries = OFFSPRING if len(query) > 1 else 0
     _tune(
-        _random(seed), population, np.arange(2), _clips(task), space, history, tries,
-        _fitness_settings(settings, task),
+        _random(seed), population, np.arange(2), space, history, tries, _criteria(settings, task)
     )  # fmt: skip
     return _learning_run(population, 0, history, 1 + tries * settings.generations)
 
@@ -121,7 +118,7 @@ def evaluate(task: TrainingTask, query: Individual, settings: EvolutionSettings)
     population = new_population(1, len(query))
     _set_row(population, 0, query)
     space = new_workspace(task.frames, len(query))
-    _evaluate(population, 0, _clips(task), space, _fitness_settings(settings, task))
+    _evaluate(population, 0, space, _criteria(settings, task))
     found, wrong, fitness, rank = population.results[0].tolist()
     return found, wrong, fitness, rank
 
@@ -135,19 +132,18 @@ def rank_bound(task: TrainingTask, query: Individual, settings: EvolutionSetting
 # ---- between individuals and arrays ----------------------------------------------------------------------
 
 
-class _Clips(NamedTuple):
-    """The clips of a `TrainingTask`, of which the first `positives` are of the class."""
+class _Criteria(NamedTuple):
+    """The criteria by which individuals are judged: clips of a `TrainingTask`, and settings of fitness and rank.
+
+    The first `positives` clips are of the class; `columns` is the number of template columns, `outside_cost` the cost
+    of one.
+    """
 
     on: U64
     off: U64
     valid: U64
     first: I64
     positives: int
-
-
-class _FitnessSettings(NamedTuple):
-    """The settings of fitness and rank; `columns` is the number of template columns, `outside_cost` the cost of one."""
-
     parsimony: float
     gap_cost: float
     outside_cost: float
@@ -159,24 +155,16 @@ def _random(seed: int | tuple[int, ...]) -> np.random.Generator:
     return np.random.Generator(np.random.PCG64(np.random.SeedSequence(seed)))
 
 
-def _clips(task: TrainingTask) -> _Clips:
-    frames = task.frames
-    return _Clips(frames.on, frames.off, frames.valid, frames.first, task.positives)
-
-
 def _columns(task: TrainingTask) -> TemplateColumns:
     return TemplateColumns(task.masks, task.values, task.columns, np.uint64(task.allowed))
 
 
-def _fitness_settings(settings: EvolutionSettings, task: TrainingTask) -> _FitnessSettings:
-    columns = len(task.masks)
-    return _FitnessSettings(
-        float(settings.parsimony),
-        float(settings.gap_cost),
-        settings.outside_cost / columns,
-        float(settings.tempo),
-        columns,
-    )
+def _criteria(settings: EvolutionSettings, task: TrainingTask) -> _Criteria:
+    frames, columns = task.frames, len(task.masks)
+    return _Criteria(
+        frames.on, frames.off, frames.valid, frames.first, task.positives, float(settings.parsimony),
+        float(settings.gap_cost), settings.outside_cost / columns, float(settings.tempo), columns,
+    )  # fmt: skip
 
 
 def _learning_run(population: Population, row: int, history: F64, evaluated: int) -> LearningRun:
@@ -207,7 +195,7 @@ def _set_row(population: Population, row: int, query: Individual) -> None:
 
 
 @njit(cache=True, nogil=True)
-def _evolve(rng, population, clips, columns, space, history, sizes, operators, criteria):  # type: ignore[no-untyped-def]
+def _evolve(rng, population, columns, space, history, sizes, operators, criteria):  # type: ignore[no-untyped-def]
     """Evolve a population, and return the row of the best individual and the number of evaluated individuals."""
     size, parents, generations = sizes
     rows, most = population.masks.shape
@@ -217,9 +205,9 @@ def _evolve(rng, population, clips, columns, space, history, sizes, operators, c
     evaluated = 0
     for row in range(size):
         draw_individual(rng, population, row, columns, operators, spare)
-        evaluated += _evaluate_new(population, order, row, clips, space, criteria)
+        evaluated += _evaluate_new(population, order, row, space, criteria)
     _sort(order, population, min(1, size), size)
-    _record(history[0], order, population, size, clips.positives)
+    _record(history[0], order, population, size, criteria.positives)
     for generation in range(1, generations + 1):
         select_parents(population.results[:, 2], order[:size], chosen, rng.random())
         place = size
@@ -228,32 +216,32 @@ def _evolve(rng, population, clips, columns, space, history, sizes, operators, c
                 row = order[place]
                 crossover(rng, population, chosen[one], chosen[other], row, operators, spare)
                 mutate(rng, population, row, columns, operators)
-                evaluated += _evaluate_new(population, order, place, clips, space, criteria)
+                evaluated += _evaluate_new(population, order, place, space, criteria)
                 place += 1
         _sort(order, population, size, rows)
-        _record(history[generation], order, population, size, clips.positives)
+        _record(history[generation], order, population, size, criteria.positives)
     return order[0], evaluated
 
 
 @njit(cache=True, nogil=True)
-def _tune(rng, population, rows, clips, space, history, tries, criteria):  # type: ignore[no-untyped-def]
+def _tune(rng, population, rows, space, history, tries, criteria):  # type: ignore[no-untyped-def]
     """Improve the gaps of the first row by mutations that are tried in the second row."""
     # rows come in an array: for literal arguments, numba would compile the called kernel once per value
     best, changed, one = rows[0], rows[1], len(rows) - 1
-    _evaluate(population, best, clips, space, criteria)
+    _evaluate(population, best, space, criteria)
     for generation in range(len(history)):
         if generation > 0:
             for _ in range(tries):
                 copy_individual(population, best, changed)
                 mutate_gaps(rng, population, changed)
-                _evaluate(population, changed, clips, space, criteria)
+                _evaluate(population, changed, space, criteria)
                 if population.results[changed, 3] >= population.results[best, 3]:
                     copy_individual(population, changed, best)
-        _record(history[generation], rows, population, one, clips.positives)
+        _record(history[generation], rows, population, one, criteria.positives)
 
 
 @njit(**INNER)
-def _evaluate_new(population, order, place, clips, space, criteria):  # type: ignore[no-untyped-def]
+def _evaluate_new(population, order, place, space, criteria):  # type: ignore[no-untyped-def]
     """Evaluate an individual unless an equal one precedes it in the order; return 1 if it was evaluated."""
     row = order[place]
     for before in range(place):
@@ -261,7 +249,7 @@ def _evaluate_new(population, order, place, clips, space, criteria):  # type: ig
             for i in range(population.results.shape[1]):
                 population.results[row, i] = population.results[order[before], i]
             return 0
-    _evaluate(population, row, clips, space, criteria)
+    _evaluate(population, row, space, criteria)
     return 1
 
 
@@ -294,25 +282,25 @@ def _equal(population, one, other, placed):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, nogil=True)
-def _evaluate(population, row, clips, space, criteria):  # type: ignore[no-untyped-def]
+def _evaluate(population, row, space, criteria):  # type: ignore[no-untyped-def]
     """Evaluate an individual, and write the clips retrieved, its fitness, and its rank."""
     count = population.counts[row]
     lows, highs = population.lows[row], population.highs[row]
-    find_bitmaps(clips.on, clips.off, clips.valid, population.masks[row], population.values[row], count, space)
+    find_bitmaps(criteria.on, criteria.off, criteria.valid, population.masks[row], population.values[row], count, space)
     for k in range(count - 1):
         # a positive clip must be retrieved even if it were slower or faster by the tempo tolerance
         space.lows[k] = int(np.ceil(lows[k] * (1.0 + criteria.tempo) - 1e-9))
         space.highs[k] = int(np.floor(highs[k] / (1.0 + criteria.tempo) + 1e-9))
-    retrieve(count, space.lows, space.highs, lows, highs, clips.first, clips.positives, space)
+    retrieve(count, space.lows, space.highs, lows, highs, criteria.first, criteria.positives, space)
     found = 0.0
     wrong = 0.0
     for t in range(len(space.hit)):
         if space.hit[t]:
-            if t < clips.positives:
+            if t < criteria.positives:
                 found += 1.0
             else:
                 wrong += 1.0
-    fitness = fitness_of(found, wrong, float(clips.positives), BETA)
+    fitness = fitness_of(found, wrong, float(criteria.positives), BETA)
     outside = population.positions[row, 0] + criteria.columns - 1 - population.positions[row, count - 1]
     rank = fitness - criteria.outside_cost * outside
     for k in range(count):

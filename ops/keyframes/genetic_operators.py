@@ -11,10 +11,9 @@ from typing import NamedTuple
 import numpy as np
 from numba import njit
 
-from kinedex.ops.arrays import F64
+from kinedex.ops.arrays import F64, I64, U64
 from kinedex.ops.bits import count_bits
 from kinedex.ops.keyframes.fitness import INNER
-from kinedex.ops.words import I64, U64
 
 GAP_STEP = 0.5
 """The largest change of either end of a gap by a mutation, relative to the spacing of columns."""

@@ -5,8 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from kinedex.ops.keyframes.genetic_algorithm import evaluate
-from kinedex.ops.keyframes.individuals import Individual
-from kinedex.ops.keyframes.training_task import MOST_KEYFRAMES, EvolutionSettings, LearningRun, TrainingTask
+from kinedex.ops.keyframes.training_task import MOST_KEYFRAMES, EvolutionSettings, Individual, LearningRun, TrainingTask
 
 TOLERANCES = (0.5, 1.0)
 """Tolerances by which a new gap may be shorter or longer, relative to the spacing of columns."""

@@ -10,11 +10,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from kinedex.ops.arrays import Bool
-from kinedex.ops.maps.interval_numbers import F64
-from kinedex.ops.maps.layout import F32, PURPOSE, Layout
+from kinedex.ops.arrays import F32, F64, I64, Bool
+from kinedex.ops.maps.layout import PURPOSE, Layout
 from kinedex.ops.packages import extra_package
-from kinedex.ops.words import I64
 
 SHARE, LEAST = 160, 8
 """A cluster has at least 1 / `SHARE` of the points, and at least `LEAST` (`python -m studies.archive_map`)."""

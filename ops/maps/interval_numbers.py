@@ -6,9 +6,9 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from kinedex.ops.arrays import F64, U8, Bool
+from kinedex.ops.arrays import F64, I64, U8, U64, Bool
 from kinedex.ops.errors import ParameterError
-from kinedex.ops.words import ALL_KNOWN, I64, NO_WORD, U64
+from kinedex.ops.words import ALL_KNOWN, NO_WORD
 
 _FRAMES = 200_000
 """Number of frames that are unpacked at a time."""

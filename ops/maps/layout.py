@@ -15,10 +15,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from kinedex.ops.arrays import F32
-from kinedex.ops.maps.interval_numbers import F64
+from kinedex.ops.arrays import F32, F64, I64
 from kinedex.ops.packages import extra_package
-from kinedex.ops.words import I64
 
 MOST = 5_000
 """Maximum number of points that t-SNE lays out; each of the others is put beside the most similar of these."""

@@ -1,17 +1,25 @@
-"""This module computes a class's archive poses: mean and spread of node rotations for each column of its template."""
+"""This module computes a class's archive poses: mean and spread of node rotations for each column of its template.
+
+Example clips are aligned with the template of their class by classical DTW.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 from typing import NamedTuple
 
 import numba as nb
 import numpy as np
 
-from kinedex.ops.arrays import F64, I64, Bool
+from kinedex.ops.arrays import F64, I64, U64, Bool
 from kinedex.ops.body.kinematic_chain import Poses, rotation_of, vector_of
 from kinedex.ops.copies import copy_row
 from kinedex.ops.errors import ParameterError
+from kinedex.ops.priors.constraints import Mark
+from kinedex.ops.templates.templates import QuantisedTemplate, Template
+from kinedex.ops.templates.warping import align
+from kinedex.ops.words import NO_WORD, bits
 
 LEAST_SEEN_S = 5 / 30
 """Minimum time in seconds that a node must be seen in a hit for the actor's own deviation to be measured."""
@@ -49,7 +57,7 @@ def pose_table(clips: Sequence[Poses], frames: Sequence[I64]) -> PoseTable:
     clips : sequence of Poses
         The fitted poses of each example clip.
     frames : sequence of int64 array (N,)
-        The frame of each clip that goes with each column, see `ops.priors.alignment.clip_frames`.
+        The frame of each clip that goes with each column, see `clip_frames`.
 
     Raises
     ------
@@ -146,3 +154,63 @@ def own_way(means: F64, turns: F64, seen: Bool, rate_hz: float) -> OwnWay:
     left = relative_turns(means @ own, turns)
     squares = np.where(seen[:, :, None], left**2, 0.0).sum(axis=0) / np.maximum(counts, 1)[:, None]
     return OwnWay(own, np.where(enough[:, None], np.sqrt(squares), np.nan), counts / rate_hz)
+
+
+def clip_frames(template: Template, words: U64) -> I64:
+    """Return the frame of a clip that corresponds to each column of a template.
+
+    The clip is aligned by classical DTW; the local cost is the mean over features of |x − y| (by the template's feature
+    weights where it has some). Of equally cheap steps, read from the end, (1,1) comes first, then the one in which the
+    template advances alone, then the clip.
+
+    Parameters
+    ----------
+    template : Template
+        The soft template of the clip's class, of N columns.
+    words : uint64 array (L,)
+        The words of the clip.
+
+    Returns
+    -------
+    int64 array (N,)
+        The mean of the frames that the path pairs with each column, rounded, halves to the even frame.
+
+    Raises
+    ------
+    ParameterError
+        If the clip is empty or has invalid frames.
+    """
+    if not len(words) or np.any(words == NO_WORD):
+        raise ParameterError("words", "those of a clip of at least one frame, all valid", len(words))
+    features = template.values.shape[1]
+    weights = np.ones(features) if template.feature_weights is None else template.feature_weights
+    shown = bits(words, features).astype(np.float64)
+    # Σ w |x − y| = Σ w (x + y − 2 x y) for y in {0, 1}
+    costs = (template.values @ weights)[:, None] + (shown @ weights)[None, :]
+    costs -= 2.0 * (template.values * weights) @ shown.T
+    path = align(np.maximum(costs / weights.sum(), 0.0), np.ones(len(template)), np.ones(len(words))).path
+    counts = np.bincount(path[:, 0], minlength=len(template))
+    totals = np.bincount(path[:, 0], weights=path[:, 1].astype(np.float64), minlength=len(template))
+    return np.rint(totals / counts).astype(np.int64)
+
+
+@dataclass(frozen=True, eq=False)
+class Motion:
+    """A class of motions with its template, its poses and its marked regions.
+
+    Attributes
+    ----------
+    name : str
+        The name of the class.
+    template : QuantisedTemplate
+        Its quantised template.
+    poses : PoseTable, optional
+        The poses of its example clips; None where the archive has templates only.
+    marks : tuple of Mark
+        The marked regions of the template.
+    """
+
+    name: str
+    template: QuantisedTemplate
+    poses: PoseTable | None = None
+    marks: tuple[Mark, ...] = ()

@@ -162,7 +162,7 @@ def _runs(marked: Bool) -> list[tuple[int, int]]:
 
 
 class PlacePulls(NamedTuple):
-    """Pulls on joint positions, see `ops.tracking.prior_terms.PriorTerms`, with weights for a quality of 1."""
+    """Pulls on joint positions, see `ops.tracking.observations.PriorTerms`, with weights for a quality of 1."""
 
     frames: I64
     joints: I64

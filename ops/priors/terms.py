@@ -10,7 +10,7 @@ import numpy as np
 from kinedex.ops.arrays import F64, I64, Bool
 from kinedex.ops.body.kinematic_chain import ChainBody, Poses
 from kinedex.ops.priors.allocation import ARCHIVE, POSE, Allocation
-from kinedex.ops.priors.archive_poses import own_way
+from kinedex.ops.priors.archive_poses import Motion, own_way
 from kinedex.ops.priors.constraints import (
     BENT_RAD,
     Constraint,
@@ -21,8 +21,7 @@ from kinedex.ops.priors.constraints import (
     joined,
     straight_elbow,
 )
-from kinedex.ops.priors.motion import Motion
-from kinedex.ops.tracking.prior_terms import PriorTerms, no_priors
+from kinedex.ops.tracking.observations import PriorTerms, no_priors
 
 POSE_RAD = 0.15
 """Standard deviation in radians of a rotation about its prior, in addition to the spread of the archive."""

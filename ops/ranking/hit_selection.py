@@ -9,10 +9,10 @@ import numba as nb
 import numpy as np
 
 from kinedex.ops.annotation.segments import TOLERANCE
-from kinedex.ops.distances.costs import F64, I32, I64, Bool, TemplateColumns
-from kinedex.ops.distances.sweep import CAP, U16
+from kinedex.ops.arrays import F64, I32, I64, U16, U64, Bool
+from kinedex.ops.distances.costs import TemplateColumns
+from kinedex.ops.distances.sweep import CAP
 from kinedex.ops.distances.window_sums import make_window, path_start, sum_window
-from kinedex.ops.words import U64
 
 KEYS = 1e9
 """Factor from costs to integer keys: costs that agree to a billionth are equal, and the earlier frame comes first."""

@@ -9,7 +9,8 @@ from functools import reduce
 import numpy as np
 
 from kinedex.ops.annotation.segments import TOLERANCE
-from kinedex.ops.distances.costs import F64, I64, CodedWords, encode, template_columns
+from kinedex.ops.arrays import F64, I64
+from kinedex.ops.distances.costs import CodedWords, encode, template_columns
 from kinedex.ops.distances.pruning import CoarseBound, coarse_bound, coarse_bounds, fine_bound, possible_minima
 from kinedex.ops.distances.stripes import BLOCK
 from kinedex.ops.errors import ParameterError

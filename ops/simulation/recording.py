@@ -1,4 +1,7 @@
-"""This module simulates a recording of a take: its cameras, its keypoints, and the failures in them."""
+"""This module simulates a recording of a take: its cameras, its keypoints, and the failures in them.
+
+The keypoints are those of a detector with systematic offsets, noise, confidence and outliers.
+"""
 
 from __future__ import annotations
 
@@ -8,15 +11,397 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from kinedex.ops.arrays import F64
+from kinedex.ops.arrays import F64, I64
 from kinedex.ops.body.kinematic_chain import ChainBody, forward
 from kinedex.ops.body.pose_fit import fit_poses
 from kinedex.ops.cameras.projection import project
 from kinedex.ops.errors import ParameterError
-from kinedex.ops.simulation.cameras import CameraRing, ring_of_cameras
-from kinedex.ops.simulation.failures import Failure, FailureRate, Limbs, draw_failures, with_failures
-from kinedex.ops.simulation.keypoints import Detector, detected_keypoints, outside_hidden, segment_offsets
 from kinedex.ops.tracking.observations import BodyPoints
+
+KINDS = ("views", "occluded", "swapped", "stuck")
+"""The kinds of failures.
+
+- views: half of the cameras report nothing.
+- occluded: a limb is reported elsewhere, with little confidence, in half of the cameras or more, but not in all.
+- swapped: left and right leg are exchanged from hip to toe, with full confidence, in half of the cameras or fewer.
+- stuck: elbow and wrist are reported on those of the other arm, in half of the cameras or more, but not in all.
+"""
+
+LIMB_PX, KEYPOINT_PX, WOBBLE_PX, STUCK_PX = 70.0, 20.0, 8.0, 6.0
+"""Standard deviations per axis, in pixels: of an occluded limb in a camera, of each of its keypoints, of its keypoints
+in each frame, and of stuck keypoints in each frame."""
+
+OCCLUDED_CONFIDENCE, STUCK_CONFIDENCE = (0.25, 0.6), 0.6
+
+
+@dataclass(frozen=True)
+class FailureRate:
+    """The frequency and duration of failures.
+
+    Attributes
+    ----------
+    per_second : float
+        Failures a second.
+    shortest_s, longest_s : float
+        Least and greatest duration in seconds.
+
+    Raises
+    ------
+    ParameterError
+        A value is out of range.
+    """
+
+    per_second: float = 0.67
+    shortest_s: float = 0.4
+    longest_s: float = 1.2
+
+    def __post_init__(self) -> None:
+        if not 0 <= self.per_second <= 100:
+            raise ParameterError("per_second", "from 0 to 100 failures a second", self.per_second)
+        if not 0 < self.shortest_s <= self.longest_s < np.inf:
+            raise ParameterError("shortest_s", "above 0 and not above longest_s", (self.shortest_s, self.longest_s))
+
+
+LONG = FailureRate(shortest_s=1.2, longest_s=2.2)
+"""The rate of long failures."""
+
+
+@dataclass(frozen=True, eq=False)
+class Limbs:
+    """The keypoints of limbs, in the same order on both sides.
+
+    Attributes
+    ----------
+    arms : tuple of int64 array
+        Elbow and wrist, left and right.
+    legs : tuple of int64 array
+        Hip to toes, left and right; the hip comes first.
+    """
+
+    arms: tuple[I64, I64]
+    legs: tuple[I64, I64]
+
+    def named(self, limb: str) -> I64:
+        """Return the keypoints of a limb that a failure displaces: of the whole arm, or of the leg without the hip."""
+        side = "lr".index(limb[0])
+        return self.arms[side] if limb[1:] == "arm" else self.legs[side][1:]
+
+
+LIMBS = ("larm", "rarm", "lleg", "rleg")
+
+
+@dataclass(frozen=True)
+class Failure:
+    """A failure of the detector in the frames [start, stop).
+
+    Attributes
+    ----------
+    start, stop : int
+        The frames.
+    kind : str
+        One of `KINDS`.
+    limb : str
+        One of `LIMBS`, "legs" for both, "body" for all keypoints.
+    cameras : tuple of int
+        The cameras in which it occurs.
+    """
+
+    start: int
+    stop: int
+    kind: str
+    limb: str
+    cameras: tuple[int, ...]
+
+
+def draw_failures(
+    rate: FailureRate, frames: int, rate_hz: float, cameras: int, generator: np.random.Generator
+) -> list[Failure]:
+    """Draw the failures of a take; they may overlap.
+
+    Parameters
+    ----------
+    rate : FailureRate
+        Their number and length.
+    frames : int
+        Frames of the take.
+    rate_hz : float
+        Frames a second.
+    cameras : int
+        Number of cameras, V.
+    generator : numpy.random.Generator
+        Draws kind, limb, length, start and cameras, each uniformly.
+
+    Returns
+    -------
+    list of Failure
+        The failures, sorted by start. With a single camera, only "views" occurs.
+    """
+    half = max(1, cameras // 2)
+    counts = {
+        "views": (half, half),
+        "occluded": (half, cameras - 1),
+        "swapped": (1, half),
+        "stuck": (half, cameras - 1),
+    }
+    found = []
+    for _ in range(round(rate.per_second * frames / rate_hz)):
+        kind = KINDS[int(generator.integers(len(KINDS)))] if cameras > 1 else "views"
+        limb = LIMBS[int(generator.integers(2 if kind == "stuck" else len(LIMBS)))]
+        length = min(frames, max(1, round(generator.uniform(rate.shortest_s, rate.longest_s) * rate_hz)))
+        start = int(generator.integers(frames - length + 1))
+        low, high = counts[kind]
+        number = int(generator.integers(low, high + 1))
+        chosen = tuple(sorted(generator.permutation(cameras)[:number].tolist()))
+        limb = {"views": "body", "swapped": "legs"}.get(kind, limb)
+        found.append(Failure(start, start + length, kind, limb, chosen))
+    return sorted(found, key=lambda one: (one.start, one.stop, one.kind, one.limb, one.cameras))
+
+
+def with_failures(
+    failures: Sequence[Failure], limbs: Limbs, pixels: F64, confidence: F64, generator: np.random.Generator
+) -> tuple[F64, F64]:
+    """Apply failures to keypoints, one after the other.
+
+    Parameters
+    ----------
+    failures : sequence of Failure
+        The failures.
+    limbs : Limbs
+        The keypoints of limbs.
+    pixels : float64 array (T, V, P, 2)
+        Positions in the images.
+    confidence : float64 array (T, V, P)
+        Their confidence.
+    generator : numpy.random.Generator
+        Draws the false positions of limbs.
+
+    Returns
+    -------
+    pixels : float64 array (T, V, P, 2)
+        The positions with failures.
+    confidence : float64 array (T, V, P)
+        Their confidence.
+    """
+    moved, trusted = pixels.copy(), confidence.copy()
+    for one in failures:
+        for camera in one.cameras:
+            _fail(one, limbs, moved[one.start : one.stop, camera], trusted[one.start : one.stop, camera], generator)
+    return moved, trusted
+
+
+def _fail(one: Failure, limbs: Limbs, pixels: F64, confidence: F64, generator: np.random.Generator) -> None:
+    """Apply a failure to the keypoints (T, P, 2) and the confidence (T, P) of a camera, in place."""
+    if one.kind == "views":
+        confidence[:] = 0.0
+    elif one.kind == "swapped":
+        left, right = limbs.legs
+        for values in (pixels, confidence):
+            values[:, np.concatenate([left, right])] = values[:, np.concatenate([right, left])]
+    elif one.kind == "occluded":
+        mine = limbs.named(one.limb)
+        off = generator.normal(0.0, LIMB_PX, 2) + generator.normal(0.0, KEYPOINT_PX, (len(mine), 2))
+        pixels[:, mine] += off + generator.normal(0.0, WOBBLE_PX, (len(pixels), len(mine), 2))
+        confidence[:, mine] = generator.uniform(*OCCLUDED_CONFIDENCE, (len(pixels), len(mine)))
+    else:
+        mine = limbs.named(one.limb)
+        other = limbs.named("rarm" if one.limb == "larm" else "larm")
+        pixels[:, mine] = pixels[:, other] + generator.normal(0.0, STUCK_PX, (len(pixels), len(mine), 2))
+        confidence[:, mine] = STUCK_CONFIDENCE
+
+
+@dataclass(frozen=True)
+class Detector:
+    """The error model of a keypoint detector.
+
+    Attributes
+    ----------
+    offset_m : float
+        Standard deviation per axis of a keypoint's offset from its true point, in metres; the offset is fixed in the
+        segment and constant over a take.
+    noise_px : float
+        Standard deviation per axis of the noise, in pixels.
+    correlation : float
+        Correlation of the noise of consecutive frames, an AR(1) process.
+    confidence, confidence_sd : float
+        Mean and standard deviation of the confidence, which is clipped to [0.5, 1].
+    outliers : float
+        Share of keypoints that are outliers.
+    outlier_px : float
+        Standard deviation per axis of their error, in pixels; their confidence is uniform in [0.3, 0.9].
+
+    Raises
+    ------
+    ParameterError
+        A value is out of range.
+    """
+
+    offset_m: float = 0.012
+    noise_px: float = 4.0
+    correlation: float = 0.7
+    confidence: float = 0.85
+    confidence_sd: float = 0.07
+    outliers: float = 0.02
+    outlier_px: float = 80.0
+
+    def __post_init__(self) -> None:
+        for name in ("offset_m", "noise_px", "confidence_sd", "outlier_px"):
+            if not 0 <= getattr(self, name) < np.inf:
+                raise ParameterError(name, "at least 0", getattr(self, name))
+        for name, below in (("confidence", 1.0), ("outliers", 1.0), ("correlation", 0.999)):
+            if not 0 <= getattr(self, name) <= below:
+                raise ParameterError(name, f"from 0 to {below:g}", getattr(self, name))
+
+
+LEAST_CONFIDENCE, OUTLIER_CONFIDENCE = 0.5, (0.3, 0.9)
+
+
+def segment_offsets(detector: Detector, points: int, generator: np.random.Generator) -> F64:
+    """Draw the offset (P, 3) of each keypoint in the frame of its node, in metres."""
+    return generator.normal(0.0, detector.offset_m, (points, 3))
+
+
+def detected_keypoints(detector: Detector, pixels: F64, generator: np.random.Generator) -> tuple[F64, F64]:
+    """Draw the keypoints that a detector reports.
+
+    Parameters
+    ----------
+    detector : Detector
+        The errors.
+    pixels : float64 array (T, V, P, 2)
+        The true positions in the images; NaN for points behind a camera.
+    generator : numpy.random.Generator
+        Draws noise, outliers and confidence.
+
+    Returns
+    -------
+    pixels : float64 array (T, V, P, 2)
+        The reported positions.
+    confidence : float64 array (T, V, P)
+        Their confidence, above 0; `outside_hidden` sets that of keypoints outside the image to 0.
+    """
+    shape = pixels.shape[:3]
+    noise = generator.normal(0.0, 1.0, (*shape, 2))
+    fresh = np.sqrt(1.0 - detector.correlation**2)
+    for t in range(1, len(noise)):
+        noise[t] = detector.correlation * noise[t - 1] + fresh * noise[t]
+    confidence = np.clip(generator.normal(detector.confidence, detector.confidence_sd, shape), LEAST_CONFIDENCE, 1.0)
+    outlier = generator.random(shape) < detector.outliers
+    errors = generator.normal(0.0, detector.outlier_px, (*shape, 2))
+    doubted = generator.uniform(*OUTLIER_CONFIDENCE, shape)
+    reported = pixels + detector.noise_px * noise + np.where(outlier[..., None], errors, 0.0)
+    return reported, np.where(outlier, doubted, confidence)
+
+
+def outside_hidden(pixels: F64, confidence: F64, size: tuple[int, int]) -> tuple[F64, F64]:
+    """Set keypoints outside the image, and their confidence, to 0.
+
+    Parameters
+    ----------
+    pixels : float64 array (T, V, P, 2)
+        Positions in the images; NaN where there is none.
+    confidence : float64 array (T, V, P)
+        Their confidence.
+    size : tuple of (int, int)
+        Width and height of the images in pixels.
+
+    Returns
+    -------
+    pixels : float64 array (T, V, P, 2)
+        The positions, 0 where the keypoint is not visible.
+    confidence : float64 array (T, V, P)
+        The confidence, 0 where the keypoint is not visible.
+    """
+    inside = ((pixels >= 0.0) & (pixels < np.array(size, np.float64))).all(axis=-1)  # false for NaN
+    seen = inside & (confidence > 0.0)
+    return np.where(seen[..., None], pixels, 0.0), np.where(seen, confidence, 0.0)
+
+
+@dataclass(frozen=True)
+class CameraRing:
+    """A ring of identical cameras.
+
+    Attributes
+    ----------
+    count : int
+        Number of cameras, 1 or more.
+    distance_m : float
+        Distance of the ring from the outermost position of the root, in metres.
+    height_m : float
+        Height of the cameras above the floor, in metres.
+    aim_m : float
+        Height above the floor of the point that they look at, in metres.
+    focal_px : float
+        Focal length in pixels.
+    size : tuple of (int, int)
+        Width and height of the images in pixels.
+
+    Raises
+    ------
+    ParameterError
+        A value is out of range.
+    """
+
+    count: int = 4
+    distance_m: float = 4.0
+    height_m: float = 2.2
+    aim_m: float = 1.0
+    focal_px: float = 1000.0
+    size: tuple[int, int] = (1280, 960)
+
+    def __post_init__(self) -> None:
+        if not 1 <= self.count <= 100:
+            raise ParameterError("count", "from 1 to 100 cameras", self.count)
+        for name in ("distance_m", "focal_px"):
+            if not 0 < getattr(self, name) < np.inf:
+                raise ParameterError(name, "above 0", getattr(self, name))
+        if min(self.size) < 1:
+            raise ParameterError("size", "a width and a height in pixels", self.size)
+
+    @property
+    def matrix(self) -> F64:
+        """Return the camera matrix (3, 3), in pixels, that all cameras share."""
+        width, height = self.size
+        return np.array([[self.focal_px, 0.0, width / 2], [0.0, self.focal_px, height / 2], [0.0, 0.0, 1.0]])
+
+
+def ring_of_cameras(ring: CameraRing, roots: F64, floor_m: float, generator: np.random.Generator) -> tuple[F64, F64]:
+    """Place cameras evenly around the centre of a take, the first in a random direction.
+
+    Parameters
+    ----------
+    ring : CameraRing
+        The ring.
+    roots : float64 array (T, 3)
+        The body's root in metres, Y up.
+    floor_m : float
+        Height of the floor, in metres.
+    generator : numpy.random.Generator
+        Draws the direction of the first camera.
+
+    Returns
+    -------
+    rotations : float64 array (V, 3, 3)
+        From the world to the camera; rows point right, down and forward.
+    translations : float64 array (V, 3)
+        x_camera = R · X + t, in metres.
+    """
+    middle = roots.mean(axis=0)
+    radius = ring.distance_m + np.abs(roots[:, [0, 2]] - middle[[0, 2]]).max()
+    angles = generator.uniform(0.0, 2.0 * np.pi) + 2.0 * np.pi * np.arange(ring.count) / ring.count
+    centres = np.stack(
+        [
+            middle[0] + radius * np.sin(angles),
+            np.full(ring.count, floor_m + ring.height_m),
+            middle[2] + radius * np.cos(angles),
+        ],
+        axis=1,
+    )
+    forward = np.array([middle[0], floor_m + ring.aim_m, middle[2]]) - centres
+    forward /= np.linalg.norm(forward, axis=1, keepdims=True)
+    right = np.cross(forward, [0.0, 1.0, 0.0])
+    right /= np.linalg.norm(right, axis=1, keepdims=True)
+    rotations = np.stack([right, np.cross(forward, right), forward], axis=1)
+    return rotations, -np.einsum("vij,vj->vi", rotations, centres)
 
 
 @dataclass(frozen=True)

@@ -181,7 +181,7 @@ def _straddle(score: Score, width: float, span: float) -> None:
     """Add the keyframes of two steps that put the feet apart to a straddle of the given width."""
     for side, sign, begin, end in (("l", 1.0, 0.0, 0.6), ("r", -1.0, 0.45, 1.0)):
         score.step(
-            side, begin * span, end * span, sign * width, score.about(0.0, 0.02), lift=0.05, heel=10.0, strike=0.0
+            side, begin * span, end * span, (sign * width, score.about(0.0, 0.02)), lift=0.05, heel=10.0, strike=0.0
         )
 
 
@@ -196,7 +196,7 @@ def cartwheel(score: Score) -> None:
     bent = actor.habit("wheel.bent", 0.80, 0.97)
     score.hands(0.0, prepare, 0.22, 0.9, 0.1)
     score.move(0.0, prepare, bend=0.0, side=0.0, twist=0.0, nod=-10.0)
-    score.step("l", 0.3 * prepare, prepare, width + 0.42, 0.02, yaw=40.0, lift=0.2)
+    score.step("l", 0.3 * prepare, prepare, (width + 0.42, 0.02), yaw=40.0, lift=0.2)
     score.pelvis(0.2 * prepare, prepare, 0.2, 0.0, 0.0, py=-0.06)
     points = 18
     for i in range(1, points + 1):
@@ -206,8 +206,8 @@ def cartwheel(score: Score) -> None:
     score.hands(prepare + 0.55 * span, t, 0.3, 0.85, 0.05)
     score.wound -= 360.0
     score.anchor = (*score.room(0.2 + far, 0.0), score.anchor[2])
-    score.step("r", t, t + 0.6 * end, -width, 0.0, lift=0.08)
-    score.step("l", t + 0.4 * end, t + end, width, 0.0, lift=0.06)
+    score.step("r", t, t + 0.6 * end, (-width, 0.0), lift=0.08)
+    score.step("l", t + 0.4 * end, t + end, (width, 0.0), lift=0.06)
     score.stand(t, t + end)
     score.after(t + end)
 

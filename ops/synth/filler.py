@@ -98,7 +98,7 @@ def step_aside(score: Score) -> None:
         sign = 1.0 if side == "l" else -1.0
         width = score.actor.stance * score.about(1.0, 0.15)
         place = (x + sign * width * math.cos(math.radians(turn)), z - sign * width * math.sin(math.radians(turn)))
-        score.step(side, t, t + span, *place, yaw=turn, lift=0.07, heel=18.0, strike=0.0)
+        score.step(side, t, t + span, place, yaw=turn, lift=0.07, heel=18.0, strike=0.0)
         score.pelvis(
             t, t + span, x * (0.6 if side == first else 1.0), z * (0.6 if side == first else 1.0), turn, py=-0.03
         )
@@ -216,7 +216,7 @@ def crouch(score: Score) -> None:
     actor = score.actor
     down, up = score.beat(0.85), score.beat(0.9)
     side, sign = ("l", 1.0) if score.rng.random() < 0.5 else ("r", -1.0)
-    score.step(side, 0.0, 0.7 * down, sign * actor.stance, score.about(0.35, 0.06), lift=0.07, heel=12.0)
+    score.step(side, 0.0, 0.7 * down, (sign * actor.stance, score.about(0.35, 0.06)), lift=0.07, heel=12.0)
     other = "r" if side == "l" else "l"
     score.move(0.3 * down, down, **{other + "pitch": 45.0})
     score.pelvis(0.0, down, 0.0, 0.12, 0.0, py=score.about(-0.60, 0.05), pitch=20.0)
@@ -227,7 +227,7 @@ def crouch(score: Score) -> None:
         span = score.beat(0.22)
         score.hands(t, t + span, score.about(-0.05, 0.06), score.about(-0.6, 0.06), score.about(0.62, 0.06))
         t += span
-    score.step(side, t + 0.2 * up, t + 0.9 * up, sign * actor.stance, score.about(0.0, 0.04), lift=0.06, heel=12.0)
+    score.step(side, t + 0.2 * up, t + 0.9 * up, (sign * actor.stance, score.about(0.0, 0.04)), lift=0.06, heel=12.0)
     score.move(t, t + 0.6 * up, **{other + "pitch": 0.0})
     score.stand(t, t + up)
     score.after(t + 0.95 * up)
@@ -273,7 +273,7 @@ def dance(score: Score) -> None:
         t += span
     for side, sign in (("l", 1.0), ("r", -1.0)):
         span = score.beat(0.35)
-        score.step(side, t, t + span, sign * actor.stance, score.about(0.0, 0.03), lift=0.06, heel=12.0)
+        score.step(side, t, t + span, (sign * actor.stance, score.about(0.0, 0.03)), lift=0.06, heel=12.0)
         t += 0.8 * span
     score.stand(t - 0.5, t + 0.2)
     score.after(t + 0.2)

@@ -64,7 +64,7 @@ def lie_down(score: Score) -> None:
     other = "l" if side == "r" else "r"
     width = actor.stance
     kneel, lean, seat, recline, settle = (score.beat(t) for t in (0.95, 0.75, 0.85, 1.0, 0.8))
-    score.step(side, 0.0, 0.7 * kneel, sign * width, score.about(-0.42, 0.04), lift=0.08, heel=25.0, strike=40.0)
+    score.step(side, 0.0, 0.7 * kneel, (sign * width, score.about(-0.42, 0.04)), lift=0.08, heel=25.0, strike=40.0)
     score.move(0.6 * kneel, kneel, **{side + "pitch": 58.0})
     score.pelvis(0.1 * kneel, kneel, 0.0, -0.30, 0.0, py=-0.52, pitch=10.0)
     score.move(0.0, kneel, bend=score.vary(26.0), nod=10.0)
@@ -126,7 +126,7 @@ def get_up(score: Score) -> None:
     score.hand(side, t, t + kneel, 0.25, -0.9, 0.1)
     score.hand(other, t, t + kneel, 0.0, -0.55, 0.55)
     t += kneel
-    score.step(side, t + 0.25 * rise, t + 0.9 * rise, sign * width, -0.38, lift=0.07, heel=58.0, strike=0.0)
+    score.step(side, t + 0.25 * rise, t + 0.9 * rise, (sign * width, -0.38), lift=0.07, heel=58.0, strike=0.0)
     score.stand(t, t + rise)
     score.after(t + rise)
 
@@ -142,7 +142,9 @@ def grab_high(score: Score) -> None:
     ahead = 0.0
     if first != "stay":
         ahead = score.about(0.30, 0.06)
-        score.step(first, 0.0, 0.7 * reach, actor.stance * (1.0 if first == "l" else -1.0), ahead, lift=0.07, heel=15.0)
+        score.step(
+            first, 0.0, 0.7 * reach, (actor.stance * (1.0 if first == "l" else -1.0), ahead), lift=0.07, heel=15.0
+        )
     score.hands(0.0, 0.5 * reach, -0.05, -0.05, 0.60)
     score.hands(0.5 * reach, reach, -0.10, height, score.about(0.42, 0.06))
     score.pelvis(0.0, reach, 0.0, 0.6 * ahead + 0.05, 0.0, py=-0.01)
@@ -155,7 +157,7 @@ def grab_high(score: Score) -> None:
     t += take
     if first != "stay":
         score.step(
-            first, t, t + lower, actor.stance * (1.0 if first == "l" else -1.0), score.about(0.0, 0.03), lift=0.06
+            first, t, t + lower, (actor.stance * (1.0 if first == "l" else -1.0), score.about(0.0, 0.03)), lift=0.06
         )
     score.stand(t, t + lower)
     score.after(t + lower)
@@ -173,7 +175,7 @@ def deposit_floor(score: Score) -> None:
     ahead = 0.0
     if step == "step":
         ahead = score.about(0.34, 0.06)
-        score.step("l", 0.0, 0.55 * down, actor.stance, ahead, lift=0.07, heel=15.0)
+        score.step("l", 0.0, 0.55 * down, (actor.stance, ahead), lift=0.07, heel=15.0)
         score.move(0.4 * down, down, rpitch=28.0)
     score.hands(0.0, 0.45 * down, 0.0, -0.40, 0.55)
     score.pelvis(
@@ -183,7 +185,7 @@ def deposit_floor(score: Score) -> None:
     score.hands(0.45 * down, down, -0.05, score.about(-0.30, 0.06), 0.88)
     t = down + hold
     if step == "step":
-        score.step("l", t + 0.35 * up, t + up, actor.stance, score.about(0.0, 0.03), lift=0.06, heel=12.0)
+        score.step("l", t + 0.35 * up, t + up, (actor.stance, score.about(0.0, 0.03)), lift=0.06, heel=12.0)
     score.move(t, t + 0.5 * up, rpitch=0.0)
     score.stand(t, t + up)
     score.after(t + up)

@@ -131,7 +131,7 @@ def _stride(
     land = (x + ahead * sine + narrow * cosine, z + ahead * cosine - narrow * sine)
     begin = span * (1.0 - gait.swing) * 0.85
     score.step(
-        side, begin, begin + gait.swing * span, *land, yaw=heading, lift=gait.lift, heel=gait.heel, strike=gait.strike
+        side, begin, begin + gait.swing * span, land, yaw=heading, lift=gait.lift, heel=gait.heel, strike=gait.strike
     )
     # At landing the pelvis is half a step behind the landing foot; in mid-stance it is over the standing foot.
     behind = 0.52 * ahead
@@ -173,7 +173,7 @@ def _close(score: Score, gait: Gait, side: str, span: float, place: tuple[float,
     x, z = place
     land = (x + width * cosine + off * sine, z - width * sine + off * cosine)
     score.step(
-        side, 0.12 * span, 0.8 * span, *land, yaw=score.about(heading, 4.0), lift=0.7 * gait.lift, heel=0.8 * gait.heel
+        side, 0.12 * span, 0.8 * span, land, yaw=score.about(heading, 4.0), lift=0.7 * gait.lift, heel=0.8 * gait.heel
     )
     score.stand(0.0, span)
 
@@ -226,7 +226,7 @@ def _turning_step(
     angle, turned = math.radians(goal), math.radians(over)
     off = score.about(0.0, 0.04)
     place = (sign * actor.stance * math.cos(angle) + off, -sign * actor.stance * math.sin(angle) + off)
-    score.step(side, 0.05 * span, 0.8 * span, *place, yaw=score.about(goal, 3.0), heel=22.0, strike=0.0)
+    score.step(side, 0.05 * span, 0.8 * span, place, yaw=score.about(goal, 3.0), heel=22.0, strike=0.0)
     x = actor.over_toes * math.sin(turned) - 0.025 * sign
     z = actor.over_toes * (math.cos(turned) - 1.0)
     score.pelvis(0.0, span, x, z, over + 0.4 * lead, py=-0.03, roll=score.about(0.0, 1.5))

@@ -92,7 +92,7 @@ def punch(score: Score, side: str, times: int) -> list[float]:
     score.hands(0.0, ready, 0.0, guard, 0.36, swivel=55.0)
     score.move(0.0, ready, bend=score.about(8.0, 3.0), nod=4.0, twist=sign * 8.0)
     lunge = score.about(actor.habit("punch.lunge", 0.66, 0.82), 0.03)
-    score.step(other, 0.0, ready, -sign * actor.stance, lunge, lift=0.06, heel=15.0)
+    score.step(other, 0.0, ready, (-sign * actor.stance, lunge), lift=0.06, heel=15.0)
     score.pelvis(0.0, ready, 0.0, 0.5 * lunge, py=-score.about(actor.habit("punch.deep", 0.20, 0.27), 0.015))
     score.move(0.0, ready, **{side + "pitch": 40.0})
     score.after(0.65 * ready)
@@ -101,7 +101,7 @@ def punch(score: Score, side: str, times: int) -> list[float]:
         _punch_once(score, side, guard)
         moments.append(score.now)
     score.move(0.0, 0.6 * leave, **{side + "pitch": 0.0})
-    score.step(other, 0.0, leave, -sign * actor.stance, score.about(0.0, 0.03), lift=0.06, heel=15.0)
+    score.step(other, 0.0, leave, (-sign * actor.stance, score.about(0.0, 0.03)), lift=0.06, heel=15.0)
     score.stand(-0.05, leave)
     score.after(leave)
     return moments
@@ -144,7 +144,7 @@ def throw(score: Score) -> None:
     score.pelvis(t, t + wind, 0.0, -0.06, 0.0, py=-0.06, pitch=-6.0)
     score.move(t, t + wind, bend=-arch, nod=-8.0, twist=score.about(0.0, 6.0))
     t += wind
-    score.step(side, t - 0.35 * wind, t + 0.3 * strike, width, far, lift=0.14, heel=20.0, strike=-10.0)
+    score.step(side, t - 0.35 * wind, t + 0.3 * strike, (width, far), lift=0.14, heel=20.0, strike=-10.0)
     score.hands(t, t + 0.5 * strike, -0.1, 0.85, 0.25)
     score.hands(t + 0.5 * strike, t + strike, -0.12, score.about(0.3, 0.06), 0.88)
     score.pelvis(t, t + strike, 0.0, 0.65 * far, 0.0, py=-0.08, pitch=8.0)
@@ -156,8 +156,8 @@ def throw(score: Score) -> None:
     t += follow
     score.move(t, t + 0.3 * back, **{other + "pitch": 0.0})
     if actor.likes("throw.return", "back", "forwards", steady=0.8, rng=score.rng) == "back":
-        score.step(side, t + 0.1, t + back, width, score.about(0.0, 0.03), lift=0.06, heel=12.0)
+        score.step(side, t + 0.1, t + back, (width, score.about(0.0, 0.03)), lift=0.06, heel=12.0)
     else:
-        score.step(other, t + 0.1, t + back, -width, far + score.about(0.0, 0.03), lift=0.09)
+        score.step(other, t + 0.1, t + back, (-width, far + score.about(0.0, 0.03)), lift=0.09)
     score.stand(t, t + back)
     score.after(t + back)

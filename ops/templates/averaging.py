@@ -8,8 +8,10 @@ from dataclasses import dataclass, replace
 import numba as nb
 import numpy as np
 
-from kinedex.ops.arrays import F64, I64, U8, Array
-from kinedex.ops.templates.pairs import (
+from kinedex.ops.arrays import F64, I64, U8, U64, Array
+from kinedex.ops.templates.warping import (
+    FIRST,
+    SECOND,
     Paths,
     Stack,
     Weighted,
@@ -17,8 +19,7 @@ from kinedex.ops.templates.pairs import (
     compact,
     path_offsets,
 )
-from kinedex.ops.templates.warping import FIRST, SECOND
-from kinedex.ops.words import U64, bits, pack
+from kinedex.ops.words import bits, pack
 
 TOLERANCE = 1e-9
 _HEAVY = 1.5 - TOLERANCE  # averaging can give 1.4999999999999998 for 1.5

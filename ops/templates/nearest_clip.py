@@ -7,13 +7,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from kinedex.ops.arrays import F64, I64
+from kinedex.ops.arrays import F64, I64, U64
 from kinedex.ops.distances.dtw import distance_curves
 from kinedex.ops.errors import ParameterError
 from kinedex.ops.ranking.ranking import rank
 from kinedex.ops.templates.templates import QuantisedTemplate
 from kinedex.ops.templates.warping import align
-from kinedex.ops.words import NO_WORD, U64, TakeWords
+from kinedex.ops.words import NO_WORD, TakeWords
 
 _WORST = 2.0  # above every possible distance
 _TWICE, _MORE = 2.0, 0.1  # the limit of a repetition's cost: a factor of the best cost, and an additional constant

@@ -1,4 +1,7 @@
-"""This module learns motion templates from the clips of a class by warping and averaging (thesis, Section 2.3)."""
+"""This module learns motion templates from the clips of a class by warping and averaging (thesis, Section 2.3).
+
+The clips of a large class are drawn evenly over actors and lengths.
+"""
 
 from __future__ import annotations
 
@@ -9,12 +12,11 @@ from typing import Literal
 
 import numpy as np
 
-from kinedex.ops.arrays import F64, I64, Bool
+from kinedex.ops.arrays import F64, I64, U64, Bool
 from kinedex.ops.errors import ParameterError
 from kinedex.ops.templates.averaging import TOLERANCE, Hard, Method, Soft, average_all, rebalance
-from kinedex.ops.templates.drawn_clips import evenly_drawn
-from kinedex.ops.templates.pairs import Paths, Stack, Weighted, reference_pairs
-from kinedex.ops.words import MOST_FEATURES, NO_WORD, U64, bits
+from kinedex.ops.templates.warping import Paths, Stack, Weighted, reference_pairs
+from kinedex.ops.words import MOST_FEATURES, NO_WORD, bits
 
 Kind = Literal["soft", "hard"]
 
@@ -58,6 +60,15 @@ class Template:
             return np.zeros(self.values.shape[1], np.bool_)
         unknown: Bool = (self.feature_weights == 0) & (self.values == 0.5).all(axis=0)
         return unknown
+
+
+@dataclass(frozen=True)
+class NamedTemplate:
+    """A template with its name, which is the subclass that it represents."""
+
+    name: str
+    template: Template
+    description: str = ""
 
 
 @dataclass(frozen=True)
@@ -376,3 +387,44 @@ def _checked_weights(feature_weights: F64 | None, features: int) -> F64:
     if not np.isfinite(feature_weights).all() or feature_weights.min() < 0 or feature_weights.max() == 0:
         raise ParameterError("feature_weights", "finite, not negative, and not all 0", feature_weights.tolist())
     return feature_weights
+
+
+def evenly_drawn(lengths: Sequence[int], actors: Sequence[str], count: int) -> I64:
+    """Draw clips evenly over actors, and over the lengths of each actor's clips.
+
+    The clips are sorted by actor, then by length, and divided into `count` equal parts; the middle clip of each part is
+    drawn. So each actor's share of the drawn clips is that of all clips, up to one clip.
+
+    Parameters
+    ----------
+    lengths : sequence of int
+        The frames of each clip.
+    actors : sequence of str
+        The actor of each clip.
+    count : int
+        The number of clips to draw; all are drawn where there are no more.
+
+    Returns
+    -------
+    int64 array (min(count, n),)
+        The indices of the drawn clips, ascending.
+
+    Raises
+    ------
+    ParameterError
+        There is not one actor for each clip, or no clip is wanted.
+
+    Examples
+    --------
+    >>> evenly_drawn([30, 10, 20, 40, 50, 60], ["ann", "ann", "ann", "bob", "bob", "bob"], 2).tolist()
+    [2, 4]
+    """
+    if len(actors) != len(lengths):
+        raise ParameterError("actors", f"as many as the {len(lengths)} clips", len(actors))
+    if count < 1:
+        raise ParameterError("count", "at least 1", count)
+    total = len(lengths)
+    row = sorted(range(total), key=lambda place: (actors[place], lengths[place], place))
+    count = min(count, total)
+    chosen = [row[(2 * part + 1) * total // (2 * count)] for part in range(count)]
+    return np.array(sorted(chosen), np.int64)

@@ -18,8 +18,7 @@ from numba import njit
 from kinedex.ops.arrays import F64, I64
 from kinedex.ops.body.kinematic_chain import PLACES, ChainArrays, log_gradients, log_of, take_step
 from kinedex.ops.copies import copy_row
-from kinedex.ops.tracking.blocks import PriorArrays, frame_cost, frame_room, frame_terms
-from kinedex.ops.tracking.rays import Evidence
+from kinedex.ops.tracking.blocks import TrackProblem, frame_cost, frame_room, frame_terms
 
 LEAST_DAMPING = 1e-6
 """The number added to the diagonal of every system."""
@@ -95,19 +94,14 @@ def make_band(chain: ChainArrays, moving: I64, smoothness: F64, triples: F64) ->
 
 @njit(cache=True, nogil=True)
 def assemble(
-    chain: ChainArrays, evidence: Evidence, priors: PriorArrays, places: F64, turns: F64, width: float, units: F64,
-    exact: bool, band: Band,
-) -> float:  # fmt: skip
+    problem: TrackProblem, places: F64, turns: F64, width: float, units: F64, exact: bool, band: Band
+) -> float:
     """Compute H and g of a take at given poses, and return the cost.
 
     Parameters
     ----------
-    chain : ChainArrays
-        The body.
-    evidence : Evidence
-        The observations.
-    priors : PriorArrays
-        The terms of priors.
+    problem : TrackProblem
+        The terms of the track.
     places, turns : float64 array (T, 3), (T, K, 3, 3)
         The poses.
     width : float
@@ -124,17 +118,17 @@ def assemble(
     float
         The cost.
     """
-    room = frame_room(chain, evidence)
+    room = frame_room(problem.chain, problem.evidence)
     cost = 0.0
     for t in range(len(places)):
-        cost += frame_terms(chain, evidence, priors, t, places[t], turns[t], width, units[t], room, band.gradient[t])
+        cost += frame_terms(problem, t, places[t], turns[t], width, units[t], room, band.gradient[t])
         for a in range(len(band.coupled)):
             i = band.coupled[a]
             for b in range(a, len(band.coupled)):
                 band.blocks[t, a, b] = room.hessian[band.coupled[b], i]
         for i in range(len(band.smoothness)):
             band.diagonals[t, i] = room.hessian[i, i]
-    return cost + _add_differences(chain, places, turns, exact, band)
+    return cost + _add_differences(problem.chain, places, turns, exact, band)
 
 
 @njit(cache=True, nogil=True)
@@ -203,16 +197,13 @@ def _add_differences(chain: ChainArrays, places: F64, turns: F64, exact: bool, b
 
 
 @njit(cache=True, nogil=True)
-def take_cost(
-    chain: ChainArrays, evidence: Evidence, priors: PriorArrays, places: F64, turns: F64, width: float, units: F64,
-    band: Band,
-) -> float:  # fmt: skip
+def take_cost(problem: TrackProblem, places: F64, turns: F64, width: float, units: F64, band: Band) -> float:
     """Return the cost of a take at given poses, with fixed factors `units` of residuals; see `assemble`."""
-    room = frame_room(chain, evidence)
+    room = frame_room(problem.chain, problem.evidence)
     cost = 0.0
     for t in range(len(places)):
-        cost += frame_cost(chain, evidence, priors, t, places[t], turns[t], width, units[t], room)
-    return cost + _differences(chain, places, turns, band)
+        cost += frame_cost(problem, t, places[t], turns[t], width, units[t], room)
+    return cost + _differences(problem.chain, places, turns, band)
 
 
 @njit(cache=True, nogil=True)

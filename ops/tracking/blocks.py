@@ -2,6 +2,12 @@
 
 H and g are those of a Gauss–Newton step x, which solves H x = −g: H sums JᵀAJ, and g sums Jᵀb over the terms: half of
 the derivatives of the cost. Only the lower half of H is filled. Both trackers use these terms.
+
+JᵀAJ and Jᵀb of all points of a frame are computed by sums over the subtrees of the nodes. A parameter moves all points
+below its node as one rigid body, by a twist: a velocity v of the point o where the root lies, and an angular velocity
+ω. With r = y − o the point y moves by v − [r]ω, where [r] is the matrix of r × ·. So the sums of A, [r]A, [r]A[r]ᵀ, b
+and r × b over the points below a node suffice for its parameters; they are accumulated from the leaves to the root (as
+in the composite rigid body algorithm of robotics). The work does not grow with the points of a node.
 """
 
 from __future__ import annotations
@@ -24,10 +30,10 @@ from kinedex.ops.body.kinematic_chain import (
     rest_cost,
     vector_of,
 )
+from kinedex.ops.copies import copy_row
 from kinedex.ops.errors import ParameterError
-from kinedex.ops.tracking.prior_terms import PriorTerms, no_priors
+from kinedex.ops.tracking.observations import PriorTerms, no_priors
 from kinedex.ops.tracking.rays import Evidence, point_cost, point_terms
-from kinedex.ops.tracking.subtree_sums import add_points
 
 
 class PriorArrays(NamedTuple):
@@ -103,6 +109,44 @@ def prior_arrays(body: ChainBody, priors: PriorTerms | None, frames: int) -> Pri
     )
 
 
+class TrackProblem(NamedTuple):
+    """The terms of a track: a body, what it is fitted to, and priors, as arrays for compiled functions.
+
+    Parameters
+    ----------
+    chain : ChainArrays
+        The body, with P parameters of K nodes.
+    evidence : Evidence
+        The observations of T frames.
+    priors : PriorArrays
+        The terms of priors.
+    """
+
+    chain: ChainArrays
+    evidence: Evidence
+    priors: PriorArrays
+
+    def window(self, first: int, stop: int) -> TrackProblem:
+        """Return the terms of the frames from `first` up to, not including, `stop`."""
+        evidence, priors = self.evidence, self.priors
+        return TrackProblem(
+            self.chain,
+            evidence._replace(
+                directions=evidence.directions[first:stop],
+                confidence=evidence.confidence[first:stop],
+                places=evidence.places[first:stop],
+                precisions=evidence.precisions[first:stop],
+            ),
+            priors._replace(
+                turn_targets=priors.turn_targets[first:stop],
+                turn_weights=priors.turn_weights[first:stop],
+                tilt_targets=priors.tilt_targets[first:stop],
+                tilt_weights=priors.tilt_weights[first:stop],
+                place_starts=priors.place_starts[first : stop + 1],
+            ),
+        )
+
+
 @njit(cache=True, nogil=True)
 def place_points(nodes: I64, offsets: F64, turned: F64, centres: F64, points: F64) -> None:
     """Compute the points (P, 3) of one frame from its nodes, and write them into `points`.
@@ -128,17 +172,16 @@ def place_points(nodes: I64, offsets: F64, turned: F64, centres: F64, points: F6
 
 @njit(cache=True, nogil=True)
 def add_point(
-    chain: ChainArrays, turned: F64, centres: F64, node: int, point: F64, matrix: F64, vector: F64, columns: F64,
-    hessian: F64, gradient: F64,
-) -> None:  # fmt: skip
+    chain: ChainArrays, room: FrameRoom, node: int, point: F64, matrix: F64, vector: F64, gradient: F64
+) -> None:
     """Add JᵀAJ and Jᵀb of one point to H and g of a frame.
 
     Parameters
     ----------
     chain : ChainArrays
         The body.
-    turned, centres : float64 array (K, 3, 3), (K, 3)
-        The nodes, see `pose_nodes`.
+    room : FrameRoom
+        The arrays of the frame with its nodes; the lower half of H is added to.
     node : int
         The node that moves the point.
     point : float64 array (3,)
@@ -147,14 +190,11 @@ def add_point(
         A, symmetric.
     vector : float64 array (3,)
         b.
-    columns : float64 array (parameters, 4)
-        Work memory for the Jacobian, see `point_jacobian`.
-    hessian : float64 array (parameters, parameters)
-        H, of which the lower half is added to.
     gradient : float64 array (parameters,)
         g.
     """
-    count = point_jacobian(chain, turned, centres, node, point, columns)
+    columns, hessian = room.columns, room.hessian
+    count = point_jacobian(chain, room.turned, room.centres, node, point, columns)
     for a in range(count):
         p, u, v, w = int(columns[a, 0]), columns[a, 1], columns[a, 2], columns[a, 3]
         gradient[p] += u * vector[0] + v * vector[1] + w * vector[2]
@@ -166,30 +206,21 @@ def add_point(
 
 
 @njit(cache=True, nogil=True)
-def add_prior_terms(
-    chain: ChainArrays, priors: PriorArrays, t: int, turns: F64, turned: F64, centres: F64, columns: F64,
-    hessian: F64, gradient: F64,
-) -> float:  # fmt: skip
+def add_prior_terms(problem: TrackProblem, t: int, turns: F64, room: FrameRoom, gradient: F64) -> float:
     """Add the terms of priors of one frame to H and g, and return their cost.
 
     g uses the exact derivative of the logarithm; H approximates it by the identity, so its part is diagonal.
 
     Parameters
     ----------
-    chain : ChainArrays
-        The body.
-    priors : PriorArrays
-        The terms.
+    problem : TrackProblem
+        The body and the terms.
     t : int
         The frame.
     turns : float64 array (K, 3, 3)
         Rotation of each node from its parent.
-    turned, centres : float64 array (K, 3, 3), (K, 3)
-        The nodes, see `pose_nodes`.
-    columns : float64 array (parameters, 4)
-        Work memory for a Jacobian.
-    hessian : float64 array (parameters, parameters)
-        H, of which the lower half is added to.
+    room : FrameRoom
+        The arrays of the frame with its nodes; the lower half of H is added to.
     gradient : float64 array (parameters,)
         g.
 
@@ -198,12 +229,14 @@ def add_prior_terms(
     float
         The cost.
     """
+    chain, priors, hessian = problem.chain, problem.priors, room.hessian
     total = _add_turn_terms(chain, priors, t, turns, hessian, gradient)
     if priors.tilt_weights[t] > 0.0:
         total += _add_tilt_term(chain, priors, t, turns[0], hessian, gradient)
     matrix, vector, point = np.empty((3, 3)), np.empty(3), np.empty(3)
     for n in range(priors.place_starts[t], priors.place_starts[t + 1]):
-        node, weight = _place_joint(chain, priors.place_joints[n], turned, centres, point), priors.place_weights[n]
+        node = _place_joint(chain, priors.place_joints[n], room, point)
+        weight = priors.place_weights[n]
         excess = -priors.place_targets[n]
         for i in range(3):
             excess += priors.place_directions[n, i] * point[i]
@@ -211,19 +244,19 @@ def add_prior_terms(
             vector[i] = weight * excess * priors.place_directions[n, i]
             for j in range(3):
                 matrix[i, j] = weight * priors.place_directions[n, i] * priors.place_directions[n, j]
-        add_point(chain, turned, centres, node, point, matrix, vector, columns, hessian, gradient)
+        add_point(chain, room, node, point, matrix, vector, gradient)
         total += weight * excess * excess
     return total
 
 
 @njit(cache=True, nogil=True)
-def _place_joint(chain: ChainArrays, joint: int, turned: F64, centres: F64, point: F64) -> int:
+def _place_joint(chain: ChainArrays, joint: int, room: FrameRoom, point: F64) -> int:
     """Write a joint's position in the world into the last array, and return the node that moves the joint."""
     k = chain.joint_nodes[joint]
     for i in range(3):
-        point[i] = centres[k, i]
+        point[i] = room.centres[k, i]
         for a in range(3):
-            point[i] += turned[k, i, a] * chain.joint_offsets[joint, a]
+            point[i] += room.turned[k, i, a] * chain.joint_offsets[joint, a]
     return k
 
 
@@ -286,8 +319,9 @@ def _add_tilt_term(chain: ChainArrays, priors: PriorArrays, t: int, turn: F64, h
 
 
 @njit(cache=True, nogil=True)
-def prior_cost(chain: ChainArrays, priors: PriorArrays, t: int, turns: F64, turned: F64, centres: F64) -> float:
+def prior_cost(problem: TrackProblem, t: int, turns: F64, room: FrameRoom) -> float:
     """Return the cost of the terms of priors of one frame; see `add_prior_terms`."""
+    chain, priors = problem.chain, problem.priors
     total, d = 0.0, 0
     for k in range(len(chain.parents)):
         first = d
@@ -304,7 +338,7 @@ def prior_cost(chain: ChainArrays, priors: PriorArrays, t: int, turns: F64, turn
             total += priors.tilt_weights[t] * (turns[0, 1, i] - priors.tilt_targets[t, i]) ** 2
     point = np.empty(3)
     for n in range(priors.place_starts[t], priors.place_starts[t + 1]):
-        _place_joint(chain, priors.place_joints[n], turned, centres, point)
+        _place_joint(chain, priors.place_joints[n], room, point)
         excess = -priors.place_targets[n]
         for i in range(3):
             excess += priors.place_directions[n, i] * point[i]
@@ -355,19 +389,14 @@ def frame_room(chain: ChainArrays, evidence: Evidence) -> FrameRoom:
 
 @njit(cache=True, nogil=True)
 def frame_terms(
-    chain: ChainArrays, evidence: Evidence, priors: PriorArrays, t: int, place: F64, turns: F64, width: float,
-    units: F64, room: FrameRoom, gradient: F64,
-) -> float:  # fmt: skip
+    problem: TrackProblem, t: int, place: F64, turns: F64, width: float, units: F64, room: FrameRoom, gradient: F64
+) -> float:
     """Compute H, into `room.hessian`, and g of one frame, and return its cost.
 
     Parameters
     ----------
-    chain : ChainArrays
-        The body.
-    evidence : Evidence
-        The observations.
-    priors : PriorArrays
-        The terms of priors.
+    problem : TrackProblem
+        The terms of the track.
     t : int
         The frame.
     place, turns : float64 array (3,), (K, 3, 3)
@@ -386,31 +415,27 @@ def frame_terms(
     float
         The cost: of observations, pulls to rest, hinges, and priors.
     """
+    chain, evidence = problem.chain, problem.evidence
     pose_nodes(chain, place, turns, room.turned, room.centres)
     place_points(evidence.nodes, evidence.offsets, room.turned, room.centres, room.points)
     cost = point_terms(evidence, t, room.points, width, units, room.matrices, room.vectors)
     room.hessian[:] = 0.0
     gradient[:] = 0.0
-    add_points(
-        chain, room.turned, room.centres, evidence.nodes, room.points, room.matrices, room.vectors,
-        room.hessian, gradient,
-    )  # fmt: skip
+    add_points(chain, evidence.nodes, room, gradient)
     cost += add_rest_terms(chain, turns, room.hessian, gradient)
-    return cost + add_prior_terms(
-        chain, priors, t, turns, room.turned, room.centres, room.columns, room.hessian, gradient
-    )
+    return cost + add_prior_terms(problem, t, turns, room, gradient)
 
 
 @njit(cache=True, nogil=True)
 def frame_cost(
-    chain: ChainArrays, evidence: Evidence, priors: PriorArrays, t: int, place: F64, turns: F64, width: float,
-    units: F64, room: FrameRoom,
-) -> float:  # fmt: skip
+    problem: TrackProblem, t: int, place: F64, turns: F64, width: float, units: F64, room: FrameRoom
+) -> float:
     """Return the cost of one frame, with fixed factors `units` of residuals; see `frame_terms`."""
+    chain, evidence = problem.chain, problem.evidence
     pose_nodes(chain, place, turns, room.turned, room.centres)
     place_points(evidence.nodes, evidence.offsets, room.turned, room.centres, room.points)
     cost = point_cost(evidence, t, room.points, width, units, np.bool_(False)) + rest_cost(chain, turns)
-    return cost + prior_cost(chain, priors, t, turns, room.turned, room.centres)
+    return cost + prior_cost(problem, t, turns, room)
 
 
 def observation_costs(body: ChainBody, evidence: Evidence, poses: Poses, width: float) -> F64:
@@ -447,3 +472,103 @@ def _observation_costs(
         pose_nodes(chain, places[t], turns[t], room.turned, room.centres)
         place_points(evidence.nodes, evidence.offsets, room.turned, room.centres, room.points)
         costs[t] = point_cost(evidence, t, room.points, width, units, np.bool_(True))
+
+
+@njit(cache=True, nogil=True)
+def add_points(chain: ChainArrays, nodes: I64, room: FrameRoom, gradient: F64) -> None:
+    """Add JᵀAJ and Jᵀb of all points to H and g of a frame.
+
+    Parameters
+    ----------
+    chain : ChainArrays
+        The body.
+    nodes : int64 array (P,)
+        The node that moves each point.
+    room : FrameRoom
+        The arrays of the frame with its nodes, and the points with A, symmetric, and b of each; the lower half of H is
+        added to.
+    gradient : float64 array (parameters,)
+        g.
+    """
+    turned, centres, hessian = room.turned, room.centres, room.hessian
+    forces, mixed, moments, wrenches = _sums(chain, centres[0], nodes, room.points, room.matrices, room.vectors)
+    for i in range(PLACES):
+        gradient[i] += wrenches[0, i]
+        for j in range(i + 1):
+            hessian[i, j] += forces[0, i, j]
+    count = len(chain.axis_nodes)
+    twists = np.empty((count, 6))
+    for d in range(count):
+        k, e, sign = chain.axis_nodes[d], chain.axis_directions[d], chain.axis_signs[d]
+        p, q, r = sign * turned[k, 0, e], sign * turned[k, 1, e], sign * turned[k, 2, e]
+        x, y, z = centres[k, 0] - centres[0, 0], centres[k, 1] - centres[0, 1], centres[k, 2] - centres[0, 2]
+        u, v, w = y * r - z * q, z * p - x * r, x * q - y * p
+        copy_row(twists[d], (p, q, r, u, v, w))
+        row = PLACES + d
+        gradient[row] += (
+            u * wrenches[k, 0] + v * wrenches[k, 1] + w * wrenches[k, 2]
+            + p * wrenches[k, 3] + q * wrenches[k, 4] + r * wrenches[k, 5]
+        )  # fmt: skip
+        force, moment, cross = forces[k], moments[k], mixed[k]
+        a = force[0, 0] * u + force[0, 1] * v + force[0, 2] * w + cross[0, 0] * p + cross[1, 0] * q + cross[2, 0] * r
+        b = force[1, 0] * u + force[1, 1] * v + force[1, 2] * w + cross[0, 1] * p + cross[1, 1] * q + cross[2, 1] * r
+        c = force[2, 0] * u + force[2, 1] * v + force[2, 2] * w + cross[0, 2] * p + cross[1, 2] * q + cross[2, 2] * r
+        f = moment[0, 0] * p + moment[0, 1] * q + moment[0, 2] * r + cross[0, 0] * u + cross[0, 1] * v + cross[0, 2] * w
+        g = moment[1, 0] * p + moment[1, 1] * q + moment[1, 2] * r + cross[1, 0] * u + cross[1, 1] * v + cross[1, 2] * w
+        h = moment[2, 0] * p + moment[2, 1] * q + moment[2, 2] * r + cross[2, 0] * u + cross[2, 1] * v + cross[2, 2] * w
+        hessian[row, 0] += a
+        hessian[row, 1] += b
+        hessian[row, 2] += c
+        for other in range(d + 1):
+            if chain.turned[k, other]:
+                o = twists[other]
+                hessian[row, PLACES + other] += f * o[0] + g * o[1] + h * o[2] + a * o[3] + b * o[4] + c * o[5]
+
+
+@njit(cache=True, nogil=True)
+def _sums(
+    chain: ChainArrays, origin: F64, nodes: I64, points: F64, matrices: F64, vectors: F64
+) -> tuple[F64, F64, F64, F64]:
+    """Return the sums of A, [r]A, [r]A[r]ᵀ (K, 3, 3), and of b and r × b (K, 6), over all points below each node."""
+    count = len(chain.parents)
+    forces, mixed, moments = np.zeros((count, 3, 3)), np.zeros((count, 3, 3)), np.zeros((count, 3, 3))
+    wrenches = np.zeros((count, 6))
+    for p in range(len(nodes)):
+        k, a, b = nodes[p], matrices[p], vectors[p]
+        if a[0, 0] + a[1, 1] + a[2, 2] <= 0.0:
+            continue
+        x, y, z = points[p, 0] - origin[0], points[p, 1] - origin[1], points[p, 2] - origin[2]
+        wrench, force, cross, moment = wrenches[k], forces[k], mixed[k], moments[k]
+        wrench[0] += b[0]
+        wrench[1] += b[1]
+        wrench[2] += b[2]
+        wrench[3] += y * b[2] - z * b[1]
+        wrench[4] += z * b[0] - x * b[2]
+        wrench[5] += x * b[1] - y * b[0]
+        for j in range(3):
+            force[0, j] += a[0, j]
+            force[1, j] += a[1, j]
+            force[2, j] += a[2, j]
+            cross[0, j] += y * a[2, j] - z * a[1, j]
+            cross[1, j] += z * a[0, j] - x * a[2, j]
+            cross[2, j] += x * a[1, j] - y * a[0, j]
+        for i in range(3):
+            u, v = (i + 1) % 3, (i + 2) % 3
+            one = y if i == 0 else (z if i == 1 else x)  # component of r for the first index
+            two = z if i == 0 else (x if i == 1 else y)  # component of r for the second index
+            s = one * a[v, 0] - two * a[u, 0]
+            t = one * a[v, 1] - two * a[u, 1]
+            w = one * a[v, 2] - two * a[u, 2]
+            moment[i, 0] += y * w - z * t
+            moment[i, 1] += z * s - x * w
+            moment[i, 2] += x * t - y * s
+    for k in range(count - 1, 0, -1):
+        parent = chain.parents[k]
+        for i in range(3):
+            wrenches[parent, i] += wrenches[k, i]
+            wrenches[parent, 3 + i] += wrenches[k, 3 + i]
+            for j in range(3):
+                forces[parent, i, j] += forces[k, i, j]
+                mixed[parent, i, j] += mixed[k, i, j]
+                moments[parent, i, j] += moments[k, i, j]
+    return forces, mixed, moments, wrenches

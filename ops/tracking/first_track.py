@@ -2,16 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from kinedex.ops.body.kinematic_chain import ChainBody, Poses
 from kinedex.ops.errors import ParameterError
-from kinedex.ops.tracking.observations import BodyPoints, Places, Rays
+from kinedex.ops.tracking.observations import BodyPoints, Observed, Places, Rays
 from kinedex.ops.tracking.rays import SIGMA_PX
-from kinedex.ops.tracking.side_exchange import exchanged_sides
 from kinedex.ops.tracking.take_tracker import SCHEDULE, Loss, TakeTrack, track_take
 from kinedex.ops.tracking.triangulation import (
     LEAST_CONFIDENCE,
@@ -19,7 +17,7 @@ from kinedex.ops.tracking.triangulation import (
     start_from_triangulation,
     triangulate,
 )
-from kinedex.ops.tracking.trust import Trust, restart, trust
+from kinedex.ops.tracking.trust import Trust, exchanged_sides, restart, trust
 
 
 @dataclass(frozen=True, eq=False)
@@ -44,45 +42,32 @@ class FirstTrack:
     trust: Trust
 
 
-def first_track(
-    body: ChainBody,
-    observations: Rays | Places,
-    points: BodyPoints | None,
-    rate_hz: float,
-    loss: Loss = "geman_mcclure",
-    sigma_px: float = SIGMA_PX,
-    cuts: Sequence[int] = (),
-) -> FirstTrack:
+def first_track(observed: Observed, loss: Loss = "geman_mcclure", sigma_px: float = SIGMA_PX) -> FirstTrack:
     """Track a recording without priors.
 
     Parameters
     ----------
-    body : ChainBody
-        A body of the shipped chain's nodes.
-    observations : Rays or Places
-        The observations of T frames.
-    points : BodyPoints or None
-        The points that rays observe; None for places.
-    rate_hz : float
-        Frames per second.
+    observed : Observed
+        A body of the shipped chain's nodes, and rays or places of T frames.
     loss : str, optional
         `geman_mcclure`, or `squares`, which the thesis has.
     sigma_px : float, optional
         Standard deviation of a keypoint in pixels.
-    cuts : sequence of int, optional
-        Frames after a cut, which do not continue the frame before.
 
     Raises
     ------
     ParameterError
         The arguments do not fit each other, or a hip or a shoulder is seen nowhere.
     """
+    body, observations, points = observed.body, observed.observations, observed.points
+    if observations is None:
+        raise ParameterError("observations", "rays or places", None)
     start = find_start(body, observations, points, sigma_px)
-    before = track_take(body, observations, points, rate_hz, start, None, loss, sigma_px, SCHEDULE, cuts)
+    before = track_take(observed, start, None, loss, sigma_px)
     seen = trust(body, observations, points, before.poses, sigma_px).nodes_seen
     again = restart(body, before.poses, seen)
-    fitting = exchanged_sides(body, observations, points, again, sigma_px)
-    track = track_take(body, fitting, points, rate_hz, again, None, loss, sigma_px, SCHEDULE[-1:], cuts)
+    fitting = replace(observed, observations=exchanged_sides(body, observations, points, again, sigma_px))
+    track = track_take(fitting, again, None, loss, sigma_px, SCHEDULE[-1:])
     return FirstTrack(start, before, track, trust(body, observations, points, track.poses, sigma_px))
 
 

@@ -16,8 +16,6 @@ from kinedex.ops.arrays import F64, I64, U8, Bool
 from kinedex.ops.body.capsules import Capsules, rest_joints
 from kinedex.ops.body.kinematic_chain import (
     PLACES,
-    ChainArrays,
-    ChainBody,
     Poses,
     forward,
     pose_joints,
@@ -32,20 +30,27 @@ from kinedex.ops.errors import ParameterError
 from kinedex.ops.tracking.blocks import (
     FrameRoom,
     PriorArrays,
+    TrackProblem,
     frame_cost,
     frame_room,
     frame_terms,
     place_points,
     prior_arrays,
 )
-from kinedex.ops.tracking.body_mask import count_overlap
-from kinedex.ops.tracking.contour_sums import ContourSums, add_contours, add_sums, contour_sums, sums_cost
-from kinedex.ops.tracking.contours import HALF, Silhouettes, contour_room, find_contours
-from kinedex.ops.tracking.observations import BodyPoints, Places, Rays
-from kinedex.ops.tracking.prior_terms import PriorTerms
-from kinedex.ops.tracking.rays import SIGMA_PX, Evidence, make_evidence, point_cost
+from kinedex.ops.tracking.contours import (
+    HALF,
+    ContourSums,
+    add_contours,
+    add_sums,
+    contour_room,
+    contour_sums,
+    find_contours,
+    sums_cost,
+)
+from kinedex.ops.tracking.observations import Observed, Places, PriorTerms, Rays
+from kinedex.ops.tracking.rays import SIGMA_PX, make_evidence, point_cost
 from kinedex.ops.tracking.triangulation import start_from_places, start_from_triangulation, triangulate
-from kinedex.ops.tracking.views import View
+from kinedex.ops.tracking.views import View, count_overlap
 
 STEPS = 10
 """Maximum number of steps in a frame without silhouettes, rejected ones included."""
@@ -113,33 +118,18 @@ class FrameTrack:
 
 
 def track_frames(
-    body: ChainBody,
-    observations: Rays | Places | None,
-    points: BodyPoints | None,
-    rate_hz: float,
-    first: Poses | None = None,
-    priors: PriorTerms | None = None,
-    silhouettes: Silhouettes | None = None,
-    sigma_px: float = SIGMA_PX,
+    observed: Observed, first: Poses | None = None, priors: PriorTerms | None = None, sigma_px: float = SIGMA_PX
 ) -> FrameTrack:
     """Track a body frame by frame.
 
     Parameters
     ----------
-    body : ChainBody
-        The body.
-    observations : Rays or Places or None
-        Rays of the points or places of the joints over T frames; None for silhouettes alone.
-    points : BodyPoints or None
-        The points that the rays observe; None without rays.
-    rate_hz : float
-        Frames per second.
+    observed : Observed
+        The body, and rays, places or silhouettes over T frames.
     first : Poses, optional
         One pose, the start of the first frame; by default it is fitted to the triangulated points, or to the places.
     priors : PriorTerms, optional
         Terms of priors, of T frames.
-    silhouettes : Silhouettes, optional
-        Masks of T frames in calibrated cameras.
     sigma_px : float, optional
         Standard deviation of a keypoint in pixels.
 
@@ -154,9 +144,9 @@ def track_frames(
         There are no observations, or no first pose for silhouettes alone; a number of frames differs, or a mask is not
         of its camera's size.
     """
-    frames = _Frames(body, observations, points, rate_hz, priors, silhouettes, sigma_px)
+    body, frames = observed.body, _Frames(observed, priors, sigma_px)
     if first is None:
-        first = _first_pose(body, observations, points)
+        first = _first_pose(observed)
     if first.places.shape != (1, 3) or first.turns.shape != (1, len(body.chain.nodes), 3, 3):
         raise ParameterError("first", f"one pose of {len(body.chain.nodes)} nodes", first.turns.shape)
     count = frames.count
@@ -173,53 +163,16 @@ def track_frames(
         costs[t], lost[t], contours[t] = fit.cost, state.frames_lost > 0, fit.contours
         shifts[t], differences[t] = fit.shift_px, fit.difference
     positions, _ = forward(body, poses)
-    if observations is None:
+    if observed.observations is None:
         costs = np.nan_to_num(differences)
     return FrameTrack(
         poses, np.ascontiguousarray(positions.transpose(2, 0, 1)), costs, lost, contours, shifts, differences
     )
 
 
-@dataclass(frozen=True, eq=False)
-class FrameTracker:
-    """A tracker of single frames with its observations, for rounds of priors; see `ops.priors.stabilise.Tracker`.
-
-    Attributes
-    ----------
-    body, observations, points, rate_hz, first, silhouettes, sigma_px
-        Those of `track_frames`.
-    """
-
-    body: ChainBody
-    observations: Rays | Places | None
-    points: BodyPoints | None
-    rate_hz: float
-    first: Poses | None = None
-    silhouettes: Silhouettes | None = None
-    sigma_px: float = SIGMA_PX
-
-    @property
-    def carries_over(self) -> bool:
-        """Return True for silhouettes alone, where helpful priors lower the costs; with rays they only raise them."""
-        return self.observations is None
-
-    def track(self, start: Poses | None = None, priors: PriorTerms | None = None) -> FrameTrack:
-        """Track the recording with priors; `start` is ignored, as each frame starts from the previous one."""
-        return track_frames(
-            self.body, self.observations, self.points, self.rate_hz, self.first, priors, self.silhouettes, self.sigma_px
-        )
-
-    def nodes_seen(self, track: FrameTrack) -> Bool:
-        """Return a mask (T, K) that is True for all nodes of the frames that are not lost."""
-        return np.repeat(~track.lost[:, None], len(self.body.chain.nodes), axis=1)
-
-    def restart(self, poses: Poses, nodes_seen: Bool) -> Poses:
-        """Return the poses unchanged, as this tracker only starts from the first frame."""
-        return poses
-
-
-def _first_pose(body: ChainBody, observations: Rays | Places | None, points: BodyPoints | None) -> Poses:
+def _first_pose(observed: Observed) -> Poses:
     """Return the initial pose of the first frame."""
+    body, observations, points = observed.body, observed.observations, observed.points
     if observations is None:
         raise ParameterError("first", "a pose, which silhouettes alone do not give", None)
     if isinstance(observations, Places):
@@ -258,16 +211,10 @@ class _State:
 class _Frames:
     """The observations, priors and preallocated arrays that all frames of a track share."""
 
-    def __init__(
-        self,
-        body: ChainBody,
-        observations: Rays | Places | None,
-        points: BodyPoints | None,
-        rate_hz: float,
-        priors: PriorTerms | None,
-        silhouettes: Silhouettes | None,
-        sigma_px: float,
-    ) -> None:
+    def __init__(self, observed: Observed, priors: PriorTerms | None, sigma_px: float) -> None:
+        body, observations, silhouettes, rate_hz = (
+            observed.body, observed.observations, observed.silhouettes, observed.rate_hz
+        )  # fmt: skip
         if not (np.isfinite(rate_hz) and rate_hz > 0):
             raise ParameterError("rate_hz", "positive and finite", rate_hz)
         joints = len(body.chain.joints)
@@ -281,7 +228,7 @@ class _Frames:
         if silhouettes is not None and len(silhouettes.masks) != self.count:
             raise ParameterError("masks", f"those of {self.count} frames", len(silhouettes.masks))
         self.body, self.silhouettes = body, silhouettes
-        self.evidence = make_evidence(body, observations, points, sigma_px)
+        self.evidence = make_evidence(body, observations, observed.points, sigma_px)
         arrays = prior_arrays(body, priors, self.count)
         # work arrays for the start of frames on silhouettes
         targets, weights = arrays.turn_targets.copy(), arrays.turn_weights.copy()
@@ -368,16 +315,17 @@ class _Frames:
         total, contour, shifts, cost = 0, 0, 0.0, 0.0
         for view, mask in masks:
             count, visible = find_contours(view, mask, sums.joints, capsules, self.contours)
-            cost += add_contours(view, self.contours, count, capsules, sums)
+            cost += add_contours(view, self.contours, count, sums)
             total, contour = total + count, contour + visible
             shifts += float(np.abs(self.contours.shifts[:count]).sum())
         return (total, total / contour, shifts / total, cost) if total else (0, 0.0, np.nan, 0.0)
 
     def _solve(self, t: int, place: F64, turns: F64, steps: int, priors: PriorArrays) -> float:
         """Minimise the cost of a frame in place; return the squared residuals of rays and positions."""
-        chain, evidence, room = self.body.arrays, self.evidence, self.room
-        _solve_frame(chain, evidence, priors, self.capsules, self.sums, t, place, turns, steps, self.units, room)
-        pose_nodes(chain, place, turns, room.turned, room.centres)
+        evidence, room = self.evidence, self.room
+        problem = TrackProblem(self.body.arrays, evidence, priors)
+        _solve_frame(problem, self.sums, t, place, turns, steps, self.units, room)
+        pose_nodes(problem.chain, place, turns, room.turned, room.centres)
         place_points(evidence.nodes, evidence.offsets, room.turned, room.centres, room.points)
         return point_cost(evidence, t, room.points, np.inf, self.units, True)
 
@@ -411,27 +359,27 @@ class _Frames:
 
 @njit(cache=True, nogil=True)
 def _solve_frame(
-    chain: ChainArrays, evidence: Evidence, priors: PriorArrays, capsules: Capsules, sums: ContourSums, t: int,
-    place: F64, turns: F64, steps: int, units: F64, room: FrameRoom,
-) -> None:  # fmt: skip
+    problem: TrackProblem, sums: ContourSums, t: int, place: F64, turns: F64, steps: int, units: F64, room: FrameRoom
+) -> None:
     """Take steps of Levenberg's method from the pose of a frame, in place, as long as the cost decreases."""
+    chain = problem.chain
     size = PLACES + len(chain.axis_nodes)
     gradient, step, damped = np.empty(size), np.empty(size), np.empty((size, size))
     new_place, new_turns, joints = np.empty_like(place), np.empty_like(turns), np.empty_like(sums.joints)
     damping, fresh, cost = _DAMPING, True, 0.0
     for _ in range(steps):
         if fresh:
-            cost = frame_terms(chain, evidence, priors, t, place, turns, np.inf, units, room, gradient)
+            cost = frame_terms(problem, t, place, turns, np.inf, units, room, gradient)
             pose_joints(chain, room.turned, room.centres, joints)
-            cost += add_sums(chain, capsules, sums, joints, room, gradient)
+            cost += add_sums(chain, sums, joints, room, gradient)
         copy_table(damped, room.hessian)
         for i in range(size):
             damped[i, i] += damping * room.hessian[i, i] + _STIFF
         solve_step(damped, gradient, step)
         take_step(chain, place, turns, step, new_place, new_turns)
-        new = frame_cost(chain, evidence, priors, t, new_place, new_turns, np.inf, units, room)
+        new = frame_cost(problem, t, new_place, new_turns, np.inf, units, room)
         pose_joints(chain, room.turned, room.centres, joints)
-        new += sums_cost(capsules, sums, joints)
+        new += sums_cost(sums, joints)
         fresh = new < cost
         if not fresh:
             damping *= _RAISED

@@ -1,11 +1,24 @@
-"""This module defines observations of a body over time: rays of keypoints, and positions of joints."""
+"""This module defines observations of a body over time: rays of keypoints, and positions of joints.
+
+Terms of priors, constant in a round, stand beside them in the energy of a track (thesis, Section 6.4).
+"""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
-from kinedex.ops.arrays import F64, I64
+import numpy as np
+
+from kinedex.ops.arrays import F64, I64, Bool
 from kinedex.ops.errors import ParameterError
+
+if TYPE_CHECKING:
+    from kinedex.ops.body.kinematic_chain import ChainBody
+    from kinedex.ops.tracking.contours import Silhouettes
+
+LEAST_CONFIDENCE = 0.1
+"""Confidence below which a keypoint counts as not seen."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -80,3 +93,109 @@ class Places:
     def __post_init__(self) -> None:
         if self.places.shape != (*self.sigma_m.shape, 3):
             raise ParameterError("places", f"of shape {(*self.sigma_m.shape, 3)}", self.places.shape)
+
+
+@dataclass(frozen=True, eq=False)
+class Observed:
+    """The observations of a recording, or the joints of a 3D track, of one body.
+
+    Attributes
+    ----------
+    body : ChainBody
+        The body.
+    rate_hz : float
+        Frames per second.
+    observations : Rays or Places or None
+        Rays of keypoints, or positions of joints, in T frames; None if there are only silhouettes.
+    points : BodyPoints, optional
+        The points of the body to which the rays belong.
+    silhouettes : Silhouettes, optional
+        Masks in calibrated cameras.
+    cuts : tuple of int
+        Frames at which the motion is not continuous with the frame before.
+    """
+
+    body: ChainBody
+    rate_hz: float
+    observations: Rays | Places | None
+    points: BodyPoints | None = None
+    silhouettes: Silhouettes | None = None
+    cuts: tuple[int, ...] = ()
+
+    @property
+    def frames(self) -> int:
+        """The number of frames of the recording."""
+        if isinstance(self.observations, Rays):
+            return len(self.observations.confidence)
+        if self.observations is not None:
+            return len(self.observations.places)
+        assert self.silhouettes is not None
+        return len(self.silhouettes.masks)
+
+    @property
+    def seen(self) -> Bool:
+        """The frames that have any observation, bool (T,)."""
+        seen = np.zeros(self.frames, np.bool_)
+        if isinstance(self.observations, Rays):
+            seen |= (self.observations.confidence >= LEAST_CONFIDENCE).any(axis=(1, 2))
+        elif self.observations is not None:
+            seen |= np.isfinite(self.observations.places.sum(axis=2)).any(axis=1)
+        if self.silhouettes is not None:
+            masks = self.silhouettes.masks
+            seen |= [any(mask is not None and mask.any() for mask in masks[t]) for t in range(len(masks))]
+        return seen
+
+
+@dataclass(frozen=True, eq=False)
+class PriorTerms:
+    """The terms by which priors pull the poses of a track.
+
+    A rotation (turn) term adds w_d · log(MᵀR)_d² for each axis d of a node in a frame; a tilt term adds w · ‖R₀ᵀe_y −
+    t‖² for the rotation R₀ of the pelvis; a position (place) term adds w · (uᵀ(y − z))² for a joint y, a unit vector u
+    and a position z.
+
+    Attributes
+    ----------
+    turn_targets : float64 array (T, K, 3, 3)
+        The rotation M that each node is pulled to; the identity where nothing pulls.
+    turn_weights : float64 array (T, K, 3)
+        Weight 1/σ² about X, Y and Z of the node, per rad²; 0 where nothing pulls.
+    tilt_targets : float64 array (T, 3)
+        The unit vector t that the up axis seen from the pelvis is pulled to.
+    tilt_weights : float64 array (T,)
+        Weight of each tilt; 0 where nothing pulls.
+    place_frames, place_joints : int64 array (N,)
+        Frame and joint of each place term, frames ascending.
+    place_directions : float64 array (N, 3)
+        The unit vector u.
+    place_targets : float64 array (N,)
+        The number uᵀz, in metres.
+    place_weights : float64 array (N,)
+        Weight 1/σ², per m².
+    """
+
+    turn_targets: F64
+    turn_weights: F64
+    tilt_targets: F64
+    tilt_weights: F64
+    place_frames: I64
+    place_joints: I64
+    place_directions: F64
+    place_targets: F64
+    place_weights: F64
+
+
+def no_priors(frames: int, nodes: int) -> PriorTerms:
+    """Return terms without any prior, for T frames and K nodes."""
+    none = np.zeros(0, np.int64)
+    return PriorTerms(
+        np.broadcast_to(np.eye(3), (frames, nodes, 3, 3)).copy(),
+        np.zeros((frames, nodes, 3)),
+        np.broadcast_to(np.array([0.0, 1.0, 0.0]), (frames, 3)).copy(),
+        np.zeros(frames),
+        none,
+        none,
+        np.zeros((0, 3)),
+        np.zeros(0),
+        np.zeros(0),
+    )

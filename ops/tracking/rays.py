@@ -19,13 +19,10 @@ from numba import njit
 from kinedex.ops.arrays import F64, I64, Bool
 from kinedex.ops.body.kinematic_chain import ChainBody
 from kinedex.ops.errors import ParameterError
-from kinedex.ops.tracking.observations import BodyPoints, Places, Rays
+from kinedex.ops.tracking.observations import LEAST_CONFIDENCE, BodyPoints, Places, Rays
 
 SIGMA_PX = 5.0
 """Standard deviation of a keypoint in pixels."""
-
-LEAST_CONFIDENCE = 0.1
-"""Confidence below which a keypoint counts as not seen."""
 
 LEAST_DEPTH_M = 0.3
 """Minimum depth in metres; points nearer to the camera, or behind it, are treated as if at this depth."""

@@ -3,24 +3,29 @@
 The terms of each frame (see `blocks`) are combined with second differences of the root's position and of all nodes'
 rotations. The robust loss starts wide and becomes narrower, so that points far from their rays are not rejected at
 once.
+
+Silhouettes become terms of its priors. The correspondences of a frame pull every joint by A and b of Eq. 6.4. The
+quadratic form of one joint is a sum of three squares along the eigenvectors of A, which are place terms, so the tracker
+of takes needs no other kind of term.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
 
 from kinedex.ops.arrays import F64
+from kinedex.ops.body.capsules import rest_joints
 from kinedex.ops.body.kinematic_chain import PLACES, ChainBody, Poses, forward
 from kinedex.ops.errors import ParameterError
 from kinedex.ops.tracking.band import assemble, make_band, move, solve_band, take_cost
-from kinedex.ops.tracking.blocks import PriorArrays, observation_costs, prior_arrays
-from kinedex.ops.tracking.observations import BodyPoints, Places, Rays
-from kinedex.ops.tracking.prior_terms import PriorTerms
-from kinedex.ops.tracking.rays import SIGMA_PX, Evidence, make_evidence
+from kinedex.ops.tracking.blocks import TrackProblem, observation_costs, prior_arrays
+from kinedex.ops.tracking.contours import Silhouettes, add_contours, contour_room, contour_sums, find_contours
+from kinedex.ops.tracking.observations import Observed, Places, PriorTerms, no_priors
+from kinedex.ops.tracking.rays import SIGMA_PX, make_evidence
 
 Loss = Literal["geman_mcclure", "squares"]
 
@@ -41,6 +46,11 @@ MOST_TRIES, TOLERANCE = 12, 1e-4
 
 # the initial damping, and its factors after an accepted and a rejected step
 _DAMPING, _EASED, _RAISED = 1e-3, 0.2, 10.0
+
+PASSES = 6
+"""Number of times that correspondences with silhouettes are computed for a take."""
+
+_LEAST = 1e-6  # relative eigenvalue below which a joint is not pulled along an eigenvector
 
 
 @dataclass(frozen=True, eq=False)
@@ -66,29 +76,19 @@ class TakeTrack:
 
 
 def track_take(
-    body: ChainBody,
-    observations: Rays | Places,
-    points: BodyPoints | None,
-    rate_hz: float,
+    observed: Observed,
     start: Poses,
     priors: PriorTerms | None = None,
     loss: Loss = "geman_mcclure",
     sigma_px: float = SIGMA_PX,
     schedule: Sequence[float] = SCHEDULE,
-    cuts: Sequence[int] = (),
 ) -> TakeTrack:
     """Track all frames of a take at once.
 
     Parameters
     ----------
-    body : ChainBody
-        The body.
-    observations : Rays or Places
-        The observations of T frames.
-    points : BodyPoints or None
-        The points that rays observe; None for places.
-    rate_hz : float
-        Frames per second.
+    observed : Observed
+        The body, and rays or places of T frames; silhouettes are not used.
     start : Poses
         T poses to start from, see `first_track.find_start`.
     priors : PriorTerms, optional
@@ -99,8 +99,6 @@ def track_take(
         Standard deviation of a keypoint in pixels.
     schedule : sequence of float, optional
         The values of c, one per solve; not used for squares.
-    cuts : sequence of int, optional
-        Frames after a cut, which no term couples with the frame before.
 
     Raises
     ------
@@ -112,19 +110,22 @@ def track_take(
     widths = (np.inf,) if loss == "squares" else tuple(schedule)
     if not widths or not all(width > 0 for width in widths):
         raise ParameterError("schedule", "positive numbers", list(schedule))
-    evidence = make_evidence(body, observations, points, sigma_px)
+    if observed.observations is None:
+        raise ParameterError("observations", "rays or places", None)
+    body = observed.body
+    evidence = make_evidence(body, observed.observations, observed.points, sigma_px)
     frames = len(evidence.confidence)
     if frames == 0 or start.turns.shape[0] != frames:
         raise ParameterError("start", f"a pose for each of the {frames} frames, at least one", start.turns.shape[0])
-    pulls = prior_arrays(body, priors, frames)
-    smoothness, triples = smoothness_weights(body, rate_hz), connected_triples(frames, cuts)
+    problem = TrackProblem(body.arrays, evidence, prior_arrays(body, priors, frames))
+    smoothness = smoothness_weights(body, observed.rate_hz)
+    triples = connected_triples(frames, observed.cuts)
     places, turns = np.array(start.places, np.float64), np.array(start.turns, np.float64)
     steps = 0
     found_places, found_turns = np.empty_like(places), np.empty_like(turns)
     for first, stop, low, high in windows(frames):
-        system = _System(body, _evidence_of(evidence, first, stop), _priors_of(pulls, first, stop))
         poses = Poses(places[first:stop].copy(), turns[first:stop].copy())
-        solved, tries = _solve(system, smoothness, triples[first:stop], poses, widths)
+        solved, tries = _solve(problem.window(first, stop), smoothness, triples[first:stop], poses, widths)
         found_places[low:high] = solved.places[low - first : high - first]
         found_turns[low:high] = solved.turns[low - first : high - first]
         steps = max(steps, tries)
@@ -179,34 +180,8 @@ def windows(frames: int) -> list[tuple[int, int, int, int]]:
         first = stop - OVERLAP_FRAMES
 
 
-@dataclass(frozen=True, eq=False)
-class _System:
-    body: ChainBody
-    evidence: Evidence
-    priors: PriorArrays
-
-
-def _evidence_of(evidence: Evidence, first: int, stop: int) -> Evidence:
-    return evidence._replace(
-        directions=evidence.directions[first:stop],
-        confidence=evidence.confidence[first:stop],
-        places=evidence.places[first:stop],
-        precisions=evidence.precisions[first:stop],
-    )
-
-
-def _priors_of(priors: PriorArrays, first: int, stop: int) -> PriorArrays:
-    return priors._replace(
-        turn_targets=priors.turn_targets[first:stop],
-        turn_weights=priors.turn_weights[first:stop],
-        tilt_targets=priors.tilt_targets[first:stop],
-        tilt_weights=priors.tilt_weights[first:stop],
-        place_starts=priors.place_starts[first : stop + 1],
-    )
-
-
 def _solve(
-    system: _System,
+    problem: TrackProblem,
     smoothness: F64,
     triples: F64,
     poses: Poses,
@@ -219,7 +194,7 @@ def _solve(
     With the identity as the derivative of logarithms, g is consistent with H, and steps succeed even if the start jumps
     between frames, where most steps with the exact g would be rejected. The exact g is used at the end.
     """
-    chain, evidence, priors = system.body.arrays, system.evidence, system.priors
+    chain, evidence, priors = problem
     joints = np.unique(priors.place_joints[priors.place_starts[0] : priors.place_starts[-1]])
     moving = np.unique(np.concatenate([evidence.nodes, chain.joint_nodes[joints]]))
     band = make_band(chain, moving, smoothness, triples)
@@ -233,10 +208,10 @@ def _solve(
         for _ in range(most):
             count += 1
             if fresh:
-                cost = assemble(chain, evidence, priors, *poses, width, units, exact, band)
+                cost = assemble(problem, *poses, width, units, exact, band)
             solve_band(band, damping, factors, steps)
             move(chain, *poses, steps, *trial)
-            new = take_cost(chain, evidence, priors, *trial, width, units, band)
+            new = take_cost(problem, *trial, width, units, band)
             fresh = new < cost
             if not fresh:
                 damping *= _RAISED
@@ -246,3 +221,129 @@ def _solve(
             if cost - new < tolerance * cost:
                 break
     return poses, count
+
+
+def silhouette_terms(body: ChainBody, poses: Poses, silhouettes: Silhouettes) -> tuple[PriorTerms, F64]:
+    """Return the place terms of the correspondences of poses with silhouettes.
+
+    Parameters
+    ----------
+    body : ChainBody
+        The body.
+    poses : Poses
+        T poses, at which the correspondences are found.
+    silhouettes : Silhouettes
+        Masks of T frames.
+
+    Returns
+    -------
+    terms : PriorTerms
+        At most three place terms for each joint and frame, and no others.
+    shifts_px : float64 array (T,)
+        Mean distance of the contour from the silhouettes' boundary in pixels of the cameras, NaN without any.
+    """
+    positions = np.ascontiguousarray(np.moveaxis(forward(body, poses)[0], 2, 0))
+    frames, joints = positions.shape[:2]
+    capsules = silhouettes.capsules
+    room, shifts = contour_room(capsules, rest_joints(body)), np.full(frames, np.nan)
+    matrices, vectors = np.zeros((frames, joints, 3, 3)), np.zeros((frames, joints, 3))
+    for t in range(frames):
+        sums, found = contour_sums(capsules, joints), []
+        for view, mask in silhouettes.seen(t):
+            count, _ = find_contours(view, mask, positions[t], capsules, room)
+            add_contours(view, room, count, sums)
+            found.append(np.abs(room.shifts[:count]))
+        if sum(map(len, found)):
+            shifts[t] = np.concatenate(found).mean()
+        matrices[t], vectors[t] = sums.matrices, sums.vectors
+        # each end of a capsule moves its points alone: an upper bound of the squares without terms of two joints
+        np.add.at(matrices[t], capsules.starts, sums.mixed)
+        np.add.at(matrices[t], capsules.ends, sums.mixed)
+    return _place_terms(body, positions, matrices, vectors), shifts
+
+
+def _place_terms(body: ChainBody, positions: F64, matrices: F64, vectors: F64) -> PriorTerms:
+    """Return the place terms of quadratics moveᵀ A move + 2 bᵀ move of the joints (T, J, 3)."""
+    values, axes = np.linalg.eigh(matrices)
+    used = values > _LEAST * values[..., -1:].clip(min=1e-12)
+    frames, joints, columns = np.nonzero(used)
+    weights = values[used]
+    directions = axes[frames, joints, :, columns]
+    at, pulls = positions[frames, joints], vectors[frames, joints]
+    targets = (directions * at).sum(axis=1) - (directions * pulls).sum(axis=1) / weights
+    return replace(
+        no_priors(len(positions), len(body.chain.nodes)),
+        place_frames=frames,
+        place_joints=joints,
+        place_directions=directions,
+        place_targets=targets,
+        place_weights=weights,
+    )
+
+
+def with_places(terms: PriorTerms, others: PriorTerms) -> PriorTerms:
+    """Return terms with the place terms of others added, sorted by frame."""
+    frames = np.concatenate([terms.place_frames, others.place_frames])
+    order = np.argsort(frames, kind="stable")
+    return replace(
+        terms,
+        place_frames=frames[order],
+        place_joints=np.concatenate([terms.place_joints, others.place_joints])[order],
+        place_directions=np.concatenate([terms.place_directions, others.place_directions])[order],
+        place_targets=np.concatenate([terms.place_targets, others.place_targets])[order],
+        place_weights=np.concatenate([terms.place_weights, others.place_weights])[order],
+    )
+
+
+def track_take_on_silhouettes(
+    observed: Observed,
+    start: Poses,
+    priors: PriorTerms | None = None,
+    loss: Loss = "geman_mcclure",
+    sigma_px: float = SIGMA_PX,
+    passes: int = PASSES,
+) -> TakeTrack:
+    """Track all frames of a take at once on silhouettes, with rays or places if there are any.
+
+    Parameters
+    ----------
+    observed : Observed
+        The body, and masks of T frames; rays or places as well, if there are any.
+    priors, loss, sigma_px
+        Those of `track_take`.
+    start : Poses
+        Initial poses from a track on rays or places, or from the frame tracker; contours only find a boundary within
+        reach.
+    passes : int, optional
+        Number of times, 1 or more, that correspondences are computed and the take is solved.
+
+    Returns
+    -------
+    TakeTrack
+        The track. With silhouettes alone its costs are the mean distances of the contour from the boundary in pixels.
+
+    Raises
+    ------
+    ParameterError
+        A number of frames differs, or `passes` is below 1.
+    """
+    if passes < 1:
+        raise ParameterError("passes", "1 or more", passes)
+    body, silhouettes = observed.body, observed.silhouettes
+    if silhouettes is None:
+        raise ParameterError("silhouettes", "masks in calibrated cameras", None)
+    frames, joints = len(start.places), len(body.chain.joints)
+    if len(silhouettes.masks) != frames:
+        raise ParameterError("masks", f"those of {frames} frames", len(silhouettes.masks))
+    seen = observed
+    if observed.observations is None:
+        seen = replace(observed, observations=Places(np.full((frames, joints, 3), np.nan), np.ones((frames, joints))))
+    others = priors or no_priors(frames, len(body.chain.nodes))
+    poses = start
+    for _ in range(passes):
+        pulls = with_places(others, silhouette_terms(body, poses, silhouettes)[0])
+        track = track_take(seen, poses, pulls, loss, sigma_px, SCHEDULE[-1:])
+        poses = track.poses
+    if observed.observations is None:
+        track = replace(track, costs=np.nan_to_num(silhouette_terms(body, poses, silhouettes)[1]))
+    return track

@@ -26,9 +26,8 @@ from kinedex.ops.distances.costs import encode
 from kinedex.ops.distances.pruning import CoarseBound, coarse_bounds
 from kinedex.ops.distances.range_minima import minima_within
 from kinedex.ops.errors import KinedexError
-from kinedex.ops.known import compacted, known_bits
 from kinedex.ops.templates.templates import QuantisedTemplate, Template
-from kinedex.ops.words import MOST_FEATURES, U64, TakeWords
+from kinedex.ops.words import MOST_FEATURES, U64, TakeWords, compacted, known_bits
 
 F64 = npt.NDArray[np.float64]
 I64 = npt.NDArray[np.int64]

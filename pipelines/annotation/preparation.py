@@ -10,7 +10,7 @@ import polars as pl
 
 from kinedex.catalog.classes import OWN, Classes, load_classes
 from kinedex.catalog.queries.keyframe_query import KeyframeQuery
-from kinedex.catalog.queries.query_files import read_query_files
+from kinedex.catalog.queries.query_reader import read_query_files
 from kinedex.ops.errors import KinedexError
 from kinedex.ops.words import U64
 from kinedex.pipelines.annotation.annotators import Annotator, make_annotator

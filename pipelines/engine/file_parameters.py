@@ -12,7 +12,7 @@ from typing import Any, get_args
 from pydantic import BaseModel, ConfigDict
 from pydantic.fields import FieldInfo
 
-from kinedex.catalog.queries.query_files import query_file_paths
+from kinedex.catalog.queries.query_reader import query_file_paths
 from kinedex.ops.errors import KinedexError
 
 

@@ -12,8 +12,14 @@ import pyarrow as pa
 
 from kinedex.catalog.features import FeatureSet
 from kinedex.ops.arrays import F64, U64
-from kinedex.ops.body.facing_direction import Placement, placement_of, start_at_origin, turned_quaternions
-from kinedex.ops.body.mirrored_motion import mirrored_places, mirrored_quaternions
+from kinedex.ops.body.facing_direction import (
+    Placement,
+    mirrored_places,
+    mirrored_quaternions,
+    placement_of,
+    start_at_origin,
+    turned_quaternions,
+)
 from kinedex.ops.body.resample import covered_frames, resample
 from kinedex.ops.errors import KinedexError, ParameterError
 from kinedex.pipelines.export.clips import Clip

@@ -14,7 +14,7 @@ import pyarrow.compute as pc
 
 from kinedex.ops.arrays import F64, Bool
 from kinedex.ops.inertial.disagreement import Run, RunRules, auto_tau, direction_errors, errors, jump_runs, runs
-from kinedex.ops.inertial.drift import HeadingDrift
+from kinedex.ops.inertial.hand_eye import HeadingDrift
 from kinedex.ops.inertial.limb_orientation import NONE, long_axis
 from kinedex.ops.inertial.rotations import interpolate
 from kinedex.ops.wording import counted

@@ -17,8 +17,8 @@ from kinedex.catalog.sensorsets import SensorSet, load_sensor_set
 from kinedex.ops.arrays import F64
 from kinedex.ops.errors import KinedexError, SourceError, did_you_mean
 from kinedex.ops.inertial.orientation_filter import estimate, estimate_calibrated
-from kinedex.ops.inertial.packages import MissingPackageError
 from kinedex.ops.inertial.rotations import interpolate
+from kinedex.ops.packages import MissingPackageError
 from kinedex.pipelines.inertial.limb_motion import struct_array
 from kinedex.pipelines.inertial.parameters import ReadImuParameters
 from kinedex.pipelines.ingestion.failures import Failure

@@ -11,8 +11,7 @@ from pathlib import Path
 
 import yaml
 
-from kinedex.ops.escapes import visible
-from kinedex.ops.wording import counted
+from kinedex.ops.wording import counted, visible
 from kinedex.pipelines.ingestion.pattern_proposal import Proposal, Token
 
 _MOST = 0.34

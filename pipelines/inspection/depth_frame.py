@@ -7,8 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
-from kinedex.catalog.depth_cameras import DepthCamera
-from kinedex.catalog.depth_placement import Placement, placement_of
+from kinedex.catalog.depth_cameras import DepthCamera, Placement, placement_of
 from kinedex.ops.arrays import F32
 from kinedex.ops.depth.extrema import Extrema, extrema_room, find_source, geodesic_extrema, tips_first
 from kinedex.ops.depth.graph import PointGraph, build_graph

@@ -14,9 +14,8 @@ import xxhash
 
 from kinedex.ops.arrays import F32, I64
 from kinedex.ops.cache import Cache
-from kinedex.ops.duplicates.alignments import find_alignments
+from kinedex.ops.duplicates.alignments import find_alignments, plausible
 from kinedex.ops.duplicates.same_motion import NEARLY_ALL, local_poses, same_motion
-from kinedex.ops.duplicates.word_agreement import plausible
 from kinedex.ops.intervals import in_seconds
 from kinedex.ops.search.runs import word_runs
 from kinedex.ops.wording import counted

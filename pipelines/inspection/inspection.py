@@ -16,9 +16,9 @@ from kinedex.catalog.skeletons.mappings import Format, Mappings, load_mappings
 from kinedex.catalog.skeletons.units import body_height
 from kinedex.ops.arrays import F64
 from kinedex.ops.body import kinematics
-from kinedex.ops.body.gaps import find_gaps
 from kinedex.ops.body.joint_tree import JOINT_PARENTS
 from kinedex.ops.body.plausibility import Plausibility, reasons
+from kinedex.ops.body.resample import find_gaps
 from kinedex.ops.errors import KinedexError, SourceError
 from kinedex.ops.intervals import shown_seconds
 from kinedex.pipelines.ingestion.analysis import analyse, blind, figures_of

@@ -8,12 +8,11 @@ from pathlib import Path
 
 from kinedex.catalog.configs import read_text, scalar
 from kinedex.catalog.features import load_feature_set
-from kinedex.catalog.skeletons.mappings import load_mappings
+from kinedex.catalog.skeletons.mappings import Question, WatchedMappings, load_mappings
 from kinedex.catalog.skeletons.recognition.points import propose_points
 from kinedex.catalog.skeletons.recognition.proposal import mapping_yaml
 from kinedex.catalog.skeletons.recognition.recognised_tree import propose_tree
 from kinedex.catalog.skeletons.skeleton_fit import Fit, Mix
-from kinedex.catalog.skeletons.watched_mappings import Question, WatchedMappings
 from kinedex.ops.errors import SourceError
 from kinedex.pipelines.ingestion.single_file import chosen_person, motion_ending, skeleton_beside
 from kinedex.storage.formats.motion.reader import DEFAULT_SETTINGS, ReadSettings

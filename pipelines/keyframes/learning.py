@@ -21,9 +21,9 @@ from kinedex.ops.keyframes.consensus import AtLeast, Consensus, find_consensus
 from kinedex.ops.keyframes.fitness import training_frames
 from kinedex.ops.keyframes.genetic_algorithm import evolve, random_search
 from kinedex.ops.keyframes.greedy_selection import forward_selection
-from kinedex.ops.keyframes.individuals import Individual
 from kinedex.ops.keyframes.training_task import (
     EvolutionSettings,
+    Individual,
     LearningRun,
     TrainingTask,
     make_training_task,

@@ -8,12 +8,12 @@ from typing import Literal
 
 import numpy as np
 
-from kinedex.ops.keyframes.fitness import Bool
-from kinedex.ops.keyframes.individuals import Individual
+from kinedex.ops.arrays import I64, U64, Bool
+from kinedex.ops.keyframes.training_task import Individual
 from kinedex.ops.search.bit_slice_search import search_slices
 from kinedex.ops.search.bit_slices import slice_words
 from kinedex.ops.search.segments import from_axis
-from kinedex.ops.words import I64, U64, TakeWords
+from kinedex.ops.words import TakeWords
 
 Margins = Literal["learned", "shared"]
 

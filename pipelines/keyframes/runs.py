@@ -11,8 +11,7 @@ import numpy as np
 import pyarrow as pa
 
 from kinedex.ops.keyframes.consensus import Consensus
-from kinedex.ops.keyframes.individuals import Individual
-from kinedex.ops.keyframes.training_task import LearningRun
+from kinedex.ops.keyframes.training_task import Individual, LearningRun
 from kinedex.pipelines.engine.executors import Executor
 from kinedex.pipelines.keyframes.learning import (
     Chosen,

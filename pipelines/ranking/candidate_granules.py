@@ -12,7 +12,7 @@ import numpy as np
 import numpy.typing as npt
 
 from kinedex.ops.distances.costs import encode
-from kinedex.ops.distances.granule_bounds import granule_bounds, granule_words
+from kinedex.ops.distances.pruning import granule_bounds, granule_words
 from kinedex.ops.ranges import extend_and_unite
 from kinedex.ops.ranking.hit_selection import KEYS
 from kinedex.ops.ranking.ranking import rank

@@ -8,10 +8,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 import numpy.typing as npt
 
-from kinedex.catalog.template_files import NamedTemplate
 from kinedex.ops.errors import KinedexError
 from kinedex.ops.intervals import Hit
-from kinedex.ops.templates.contrast_weights import contrast_weights
+from kinedex.ops.templates.derived_templates import contrast_weights
+from kinedex.ops.templates.templates import NamedTemplate
 from kinedex.ops.words import ALL_KNOWN, U64
 from kinedex.pipelines.ranking.store_ranking import DELTA
 from kinedex.pipelines.search.bit_slices import stored_words
@@ -56,7 +56,7 @@ def template_of_chosen(
     """Learn a template from accepted intervals, in contrast to rejected ones.
 
     A single interval becomes the template unchanged; several are averaged as in `Template.learn`. Rejected intervals
-    change the weights of features (`ops.templates.contrast_weights`), so that the template can be used in any ranking
+    change the weights of features (`contrast_weights`), so that the template can be used in any ranking
     of the archive. A rejected interval that overlaps an accepted one is ignored: it still shows the motion, and made
     results worse in the study of corrections (docs/studies.md).
 

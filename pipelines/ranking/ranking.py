@@ -11,17 +11,16 @@ import numpy as np
 import pyarrow as pa
 
 from kinedex.catalog.features import FeatureSet
-from kinedex.catalog.mirror import mirrored
-from kinedex.catalog.queries.keyframe_query import KeyframeQuery
-from kinedex.ops.distances.costs import I64, encode
+from kinedex.catalog.queries.keyframe_query import KeyframeQuery, mirrored
+from kinedex.ops.arrays import I64
+from kinedex.ops.distances.costs import encode
 from kinedex.ops.errors import KinedexError
 from kinedex.ops.ranges import extend_and_unite
 from kinedex.ops.ranking.hit_selection import KEYS
 from kinedex.ops.ranking.ranking import Hits, rank, rank_together
 from kinedex.ops.search.bit_slices import GRANULE
 from kinedex.ops.templates.derived_templates import restricted_template
-from kinedex.ops.templates.mirror import rearrange
-from kinedex.ops.words import ALL_KNOWN
+from kinedex.ops.words import ALL_KNOWN, rearrange
 from kinedex.pipelines.engine.executors import batches_of, cores, in_threads
 from kinedex.pipelines.ranking.candidate_granules import candidate_granules, first_thresholds, offsets_of
 from kinedex.pipelines.ranking.ranked_hits import RankedTemplate, Ranking, as_ranked

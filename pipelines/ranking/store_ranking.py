@@ -8,11 +8,10 @@ from math import floor
 
 import pyarrow as pa
 
-from kinedex.catalog.named_template import NamedTemplate
 from kinedex.catalog.queries.keyframe_query import KeyframeQuery
 from kinedex.ops.errors import KinedexError
 from kinedex.ops.intervals import shown_seconds
-from kinedex.ops.templates.templates import Kind, quantise
+from kinedex.ops.templates.templates import Kind, NamedTemplate, quantise
 from kinedex.ops.wording import few
 from kinedex.pipelines.ranking.ranked_hits import RankedTemplate, Ranking, ranking_table
 from kinedex.pipelines.ranking.ranking import partly_known, rank_both_sides, rank_takes

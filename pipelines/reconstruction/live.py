@@ -12,8 +12,7 @@ import numpy as np
 import numpy.typing as npt
 
 from kinedex.catalog.bodies import load_body
-from kinedex.catalog.depth_cameras import DepthCamera
-from kinedex.catalog.depth_placement import Placement, placement_of
+from kinedex.catalog.depth_cameras import DepthCamera, Placement, placement_of
 from kinedex.ops.arrays import F32, F64
 from kinedex.ops.body.joint_tree import JOINTS
 from kinedex.ops.depth.points import choose_stride

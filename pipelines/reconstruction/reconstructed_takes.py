@@ -11,11 +11,11 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.compute as pc
 
-from kinedex.catalog.depth_placement import FLIP
+from kinedex.catalog.depth_cameras import FLIP
 from kinedex.catalog.features import FeatureSet
 from kinedex.ops.arrays import F64, Bool
-from kinedex.ops.body.gaps import fill_gaps
 from kinedex.ops.body.joint_tree import JOINTS
+from kinedex.ops.body.resample import fill_gaps
 from kinedex.ops.depth.low_pass import low_pass
 from kinedex.ops.depth.tracker import Candidate, FrameResult
 from kinedex.ops.depth.vote import PoseCost

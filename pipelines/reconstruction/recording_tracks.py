@@ -9,15 +9,14 @@ from typing import NamedTuple
 import numpy as np
 
 from kinedex.catalog.bodies import load_body
-from kinedex.catalog.depth_cameras import DepthCamera
-from kinedex.catalog.depth_placement import Placement, placement_of
+from kinedex.catalog.depth_cameras import DepthCamera, Placement, placement_of
 from kinedex.ops.arrays import F32, F64, I64
 from kinedex.ops.body.joint_tree import JOINTS
 from kinedex.ops.depth.background import behind_share
-from kinedex.ops.depth.bidirectional import choose_directions
 from kinedex.ops.depth.cones import ConeBody
 from kinedex.ops.depth.extrema import COUNT
 from kinedex.ops.depth.image_search import DepthView, depth_view
+from kinedex.ops.depth.low_pass import choose_directions
 from kinedex.ops.depth.points import Preparation, choose_stride, ray_table
 from kinedex.ops.depth.pose_database import facing_of
 from kinedex.ops.depth.size_estimate import LIMITS_M, SECONDS, STEP_M, estimate_size

@@ -9,9 +9,9 @@ import pyarrow as pa
 
 from kinedex.catalog.features import FeatureSet
 from kinedex.catalog.queries.keyframe_query import KeyframeQuery, query_share
-from kinedex.ops.known import LEAST_KNOWN, known_share
 from kinedex.ops.templates.templates import QuantisedTemplate
 from kinedex.ops.wording import counted, few
+from kinedex.ops.words import LEAST_KNOWN, known_share
 from kinedex.storage.snapshot.schemas import result_schema
 
 

@@ -7,7 +7,7 @@ import math
 import numpy as np
 
 from kinedex.catalog.configs import scalar
-from kinedex.catalog.queries.query_files import parse_queries
+from kinedex.catalog.queries.query_reader import parse_queries
 from kinedex.catalog.queries.query_writer import pose_text
 from kinedex.ops.errors import KinedexError
 from kinedex.ops.intervals import shown_seconds

@@ -13,7 +13,7 @@ import pyarrow as pa
 
 from kinedex.catalog.features import FeatureSet
 from kinedex.catalog.queries.keyframe_query import KeyframeQuery, choose_queries
-from kinedex.catalog.queries.query_files import ANALYSIS_RATE_HZ, part_names, read_queries
+from kinedex.catalog.queries.query_reader import ANALYSIS_RATE_HZ, part_names, read_queries
 from kinedex.ops.errors import KinedexError, did_you_mean
 from kinedex.ops.ranges import TakeRanges
 from kinedex.ops.words import I64

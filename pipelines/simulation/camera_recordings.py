@@ -20,11 +20,15 @@ from kinedex.ops.body.capsules import body_capsules
 from kinedex.ops.body.kinematic_chain import ChainBody, vector_of
 from kinedex.ops.body.pose_fit import measured_body
 from kinedex.ops.errors import KinedexError, ParameterError
-from kinedex.ops.simulation.cameras import CameraRing
-from kinedex.ops.simulation.failures import Limbs
-from kinedex.ops.simulation.recording import Setup, SimulatedRecording, simulated_recording, take_generators
-from kinedex.ops.tracking.body_mask import render_mask
-from kinedex.ops.tracking.views import camera_view
+from kinedex.ops.simulation.recording import (
+    CameraRing,
+    Limbs,
+    Setup,
+    SimulatedRecording,
+    simulated_recording,
+    take_generators,
+)
+from kinedex.ops.tracking.views import camera_view, render_mask
 from kinedex.pipelines.engine.display import Progress
 from kinedex.pipelines.export.export import export_take
 from kinedex.pipelines.export.request import How

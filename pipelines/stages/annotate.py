@@ -15,7 +15,7 @@ import pyarrow.compute as pc
 from kinedex.catalog.classes import Classes, class_files
 from kinedex.catalog.plugins import Plugins
 from kinedex.catalog.queries.keyframe_query import KeyframeQuery
-from kinedex.catalog.queries.query_files import query_file_paths
+from kinedex.catalog.queries.query_reader import query_file_paths
 from kinedex.ops.wording import counted, few
 from kinedex.pipelines.annotation.annotators import Annotator, targets_unknown
 from kinedex.pipelines.annotation.batches import annotate_stored

@@ -10,7 +10,7 @@ import pyarrow as pa
 
 from kinedex.catalog.classes import class_files
 from kinedex.catalog.plugins import Plugins
-from kinedex.catalog.queries.query_files import query_file_paths
+from kinedex.catalog.queries.query_reader import query_file_paths
 from kinedex.ops.wording import few
 from kinedex.pipelines.annotation.methods import METHODS
 from kinedex.pipelines.engine.context import StageContext

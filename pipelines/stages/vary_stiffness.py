@@ -8,10 +8,9 @@ from typing import Annotated, ClassVar
 
 from pydantic import Field
 
-from kinedex.catalog.queries.query_files import query_file_paths, read_query_files
-from kinedex.catalog.template_files import NamedTemplate
+from kinedex.catalog.queries.query_reader import query_file_paths, read_query_files
 from kinedex.ops.errors import KinedexError
-from kinedex.ops.templates.templates import Kind
+from kinedex.ops.templates.templates import Kind, NamedTemplate
 from kinedex.pipelines.engine.context import StageContext
 from kinedex.pipelines.engine.digests import files_digest
 from kinedex.pipelines.engine.display import ResultTable

@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from kinedex.ops.errors import KinedexError, ParameterError
-from kinedex.ops.synth.actors import Actor, actor_name, cast
+from kinedex.ops.synth.body import Actor, actor_name, cast
 from kinedex.ops.synth.motions import MOTIONS
 from kinedex.ops.synth.performance import RATE_HZ, perform_clip, perform_take
 from kinedex.ops.synth.solve import columns

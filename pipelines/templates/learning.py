@@ -13,14 +13,12 @@ import numpy as np
 import numpy.typing as npt
 import pyarrow as pa
 
-from kinedex.catalog.template_files import NamedTemplate
 from kinedex.ops.errors import KinedexError
-from kinedex.ops.known import known_bits
 from kinedex.ops.templates.derived_templates import without_unknown
-from kinedex.ops.templates.templates import MOST_AVERAGED, REFERENCES, Learned, Spread, learn
+from kinedex.ops.templates.templates import MOST_AVERAGED, REFERENCES, Learned, NamedTemplate, Spread, learn
 from kinedex.ops.templates.templates import Kind as Kind
 from kinedex.ops.wording import few
-from kinedex.ops.words import ALL_KNOWN, NO_WORD, U64
+from kinedex.ops.words import ALL_KNOWN, NO_WORD, U64, known_bits
 from kinedex.pipelines.engine.executors import Executor
 from kinedex.pipelines.templates.clip_checks import clip_remarks
 from kinedex.pipelines.templates.examples import Example, example_words, whole_takes

@@ -11,11 +11,10 @@ import numpy as np
 import pyarrow as pa
 
 from kinedex.catalog.features import FeatureSet
-from kinedex.catalog.named_template import NamedTemplate
 from kinedex.ops.errors import KinedexError, did_you_mean
 from kinedex.ops.intervals import in_seconds, nearest_frame
 from kinedex.ops.templates.derived_templates import without_unknown
-from kinedex.ops.templates.templates import Kind, Learned, Template, learn, quantise
+from kinedex.ops.templates.templates import Kind, Learned, NamedTemplate, Template, learn, quantise
 from kinedex.ops.words import ALL_KNOWN, NO_WORD, U64
 from kinedex.storage.snapshot.shown_results import pipeline_of
 from kinedex.storage.store.store import Store

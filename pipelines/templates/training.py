@@ -13,10 +13,10 @@ import polars as pl
 from pydantic import BaseModel, ConfigDict, Field
 
 from kinedex.catalog.features import FeatureSet
-from kinedex.catalog.template_files import NamedTemplate, read_templates
+from kinedex.catalog.template_files import read_templates
 from kinedex.ops.errors import KinedexError, did_you_mean
 from kinedex.ops.templates.derived_templates import joined
-from kinedex.ops.templates.templates import Kind, Learned
+from kinedex.ops.templates.templates import Kind, Learned, NamedTemplate
 from kinedex.pipelines.engine.file_parameters import NamesFile
 from kinedex.pipelines.labels.unmatched_labels import UnmatchedLabels
 from kinedex.pipelines.templates.examples import ExampleParameters, examples_of

@@ -14,14 +14,12 @@ from kinedex.catalog.classes import Classes
 from kinedex.catalog.features import FeatureSet
 from kinedex.catalog.kinematics import load_kinematic_chain
 from kinedex.ops.arrays import U64
+from kinedex.ops.body.facing_direction import mirrored_places
 from kinedex.ops.body.kinematic_chain import Poses
-from kinedex.ops.body.mirrored_motion import mirrored_places
 from kinedex.ops.body.pose_fit import fit_poses, measured_body
 from kinedex.ops.errors import ParameterError
-from kinedex.ops.priors.alignment import clip_frames
-from kinedex.ops.priors.archive_poses import PoseTable, pose_table
+from kinedex.ops.priors.archive_poses import Motion, PoseTable, clip_frames, pose_table
 from kinedex.ops.priors.constraints import template_marks
-from kinedex.ops.priors.motion import Motion
 from kinedex.ops.templates.templates import Template, quantise
 from kinedex.ops.wording import few
 from kinedex.ops.words import NO_WORD

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
@@ -10,72 +10,17 @@ import numpy as np
 from kinedex.ops.arrays import F64, I64, Bool
 from kinedex.ops.body.kinematic_chain import ChainBody, Poses, forward
 from kinedex.ops.priors.stabilise import Track
-from kinedex.ops.tracking.contours import Silhouettes
 from kinedex.ops.tracking.first_track import first_track
 from kinedex.ops.tracking.frame_tracker import track_frames
-from kinedex.ops.tracking.observations import BodyPoints, Places, Rays
-from kinedex.ops.tracking.prior_terms import PriorTerms
-from kinedex.ops.tracking.rays import LEAST_CONFIDENCE, LEAST_DEPTH_M, SIGMA_PX
-from kinedex.ops.tracking.side_exchange import exchanged_sides
-from kinedex.ops.tracking.silhouette_terms import track_take_on_silhouettes
-from kinedex.ops.tracking.take_tracker import SCHEDULE, Loss, TakeTrack, track_take
-from kinedex.ops.tracking.trust import SEEN, TRUST_WIDTH, Trust, restart, trust
+from kinedex.ops.tracking.observations import LEAST_CONFIDENCE, Observed, Places, PriorTerms, Rays
+from kinedex.ops.tracking.rays import LEAST_DEPTH_M, SIGMA_PX
+from kinedex.ops.tracking.take_tracker import SCHEDULE, Loss, TakeTrack, track_take, track_take_on_silhouettes
+from kinedex.ops.tracking.trust import SEEN, TRUST_WIDTH, Trust, exchanged_sides, restart, trust
 
 AGREEING = 0.5
 """The smallest robust weight of a keypoint with which a camera agrees with a track."""
 
 _MEDIAN_OF_GAUSSIAN = 1.1774  # median distance from the centre of a 2D Gaussian, in standard deviations
-
-
-@dataclass(frozen=True, eq=False)
-class Observed:
-    """The observations of a recording, or the joints of a 3D track, of one body.
-
-    Attributes
-    ----------
-    body : ChainBody
-        The body.
-    rate_hz : float
-        Frames per second.
-    observations : Rays or Places or None
-        Rays of keypoints, or positions of joints, in T frames; None if there are only silhouettes.
-    points : BodyPoints, optional
-        The points of the body to which the rays belong.
-    silhouettes : Silhouettes, optional
-        Masks in calibrated cameras.
-    cuts : tuple of int
-        Frames at which the motion is not continuous with the frame before.
-    """
-
-    body: ChainBody
-    rate_hz: float
-    observations: Rays | Places | None
-    points: BodyPoints | None = None
-    silhouettes: Silhouettes | None = None
-    cuts: tuple[int, ...] = ()
-
-    @property
-    def frames(self) -> int:
-        """The number of frames of the recording."""
-        if isinstance(self.observations, Rays):
-            return len(self.observations.confidence)
-        if self.observations is not None:
-            return len(self.observations.places)
-        assert self.silhouettes is not None
-        return len(self.silhouettes.masks)
-
-    @property
-    def seen(self) -> Bool:
-        """The frames that have any observation, bool (T,)."""
-        seen = np.zeros(self.frames, np.bool_)
-        if isinstance(self.observations, Rays):
-            seen |= (self.observations.confidence >= LEAST_CONFIDENCE).any(axis=(1, 2))
-        elif self.observations is not None:
-            seen |= np.isfinite(self.observations.places.sum(axis=2)).any(axis=1)
-        if self.silhouettes is not None:
-            masks = self.silhouettes.masks
-            seen |= [any(mask is not None and mask.any() for mask in masks[t]) for t in range(len(masks))]
-        return seen
 
 
 @dataclass(frozen=True)
@@ -124,7 +69,7 @@ class ChainTracker:
 
     @property
     def carries_over(self) -> bool:
-        """True if there are only silhouettes, see `ops.tracking.frame_tracker.FrameTracker`."""
+        """True for silhouettes alone, where helpful priors lower the costs; with rays they only raise them."""
         return self.observed.observations is None
 
     def first(self) -> Track:
@@ -137,37 +82,23 @@ class ChainTracker:
         """
         if self.settings.tracker == "frames":
             return self._frame_by_frame(None, None)
-        observed, settings = self.observed, self.settings
-        assert observed.observations is not None
-        found = first_track(
-            observed.body, observed.observations, observed.points, observed.rate_hz, settings.loss, settings.sigma_px,
-            observed.cuts,
-        ).track  # fmt: skip
+        found = first_track(self.observed, self.settings.loss, self.settings.sigma_px).track
         return self._with_silhouettes(found, None)
 
     def track(self, start: Poses, priors: PriorTerms | None) -> Track:
         """Track the recording again from a start, with prior terms."""
         if self.settings.tracker == "frames":
             return self._frame_by_frame(Poses(start.places[:1], start.turns[:1]), priors)
-        observed, settings = self.observed, self.settings
-        assert observed.observations is not None
-        fitting = self._exchanged(start)
-        assert fitting is not None
-        found = track_take(
-            observed.body, fitting, observed.points, observed.rate_hz, start, priors, settings.loss, settings.sigma_px,
-            SCHEDULE[-1:], observed.cuts,
-        )  # fmt: skip
+        fitting = replace(self.observed, observations=self._exchanged(start))
+        found = track_take(fitting, start, priors, self.settings.loss, self.settings.sigma_px, SCHEDULE[-1:])
         return self._with_silhouettes(found, priors)
 
     def _with_silhouettes(self, found: TakeTrack, priors: PriorTerms | None) -> TakeTrack:
         """Return a track that is fitted to the masks as well, if there are any."""
-        observed, settings = self.observed, self.settings
-        if observed.silhouettes is None:
+        if self.observed.silhouettes is None:
             return found
-        return track_take_on_silhouettes(
-            observed.body, self._exchanged(found.poses), observed.points, observed.rate_hz, found.poses,
-            observed.silhouettes, priors, settings.loss, settings.sigma_px, observed.cuts,
-        )  # fmt: skip
+        fitting = replace(self.observed, observations=self._exchanged(found.poses))
+        return track_take_on_silhouettes(fitting, found.poses, priors, self.settings.loss, self.settings.sigma_px)
 
     def trust(self, poses: Poses) -> Trust | None:
         """Return how well the original observations agree with poses; None if there are only silhouettes."""
@@ -195,11 +126,7 @@ class ChainTracker:
         return restart(self.body, poses, nodes_seen)
 
     def _frame_by_frame(self, first: Poses | None, priors: PriorTerms | None) -> Track:
-        observed = self.observed
-        return track_frames(
-            observed.body, observed.observations, observed.points, observed.rate_hz, first, priors,
-            observed.silhouettes, self.settings.sigma_px,
-        )  # fmt: skip
+        return track_frames(self.observed, first, priors, self.settings.sigma_px)
 
 
 def keypoint_sigma(rays: Rays, points: F64) -> float:

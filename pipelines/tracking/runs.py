@@ -13,7 +13,7 @@ import pyarrow as pa
 from kinedex.catalog.classes import load_classes
 from kinedex.catalog.recordings import load_recordings
 from kinedex.ops.errors import KinedexError, did_you_mean
-from kinedex.ops.priors.motion import Motion
+from kinedex.ops.priors.archive_poses import Motion
 from kinedex.ops.priors.stabilise import LOGICAL
 from kinedex.ops.tracking.band import solve_band
 from kinedex.ops.wording import counted

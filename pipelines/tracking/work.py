@@ -15,11 +15,11 @@ from kinedex.ops.body.kinematic_chain import ChainBody, Poses
 from kinedex.ops.body.pose_fit import measured_body
 from kinedex.ops.errors import KinedexError, ParameterError, did_you_mean
 from kinedex.ops.intervals import shown_seconds
-from kinedex.ops.priors.motion import Motion
+from kinedex.ops.priors.archive_poses import Motion
 from kinedex.ops.priors.stabilise import Settings, Track, stabilise
 from kinedex.ops.tracking.body_estimate import estimate_body, mean_body
 from kinedex.ops.tracking.contours import Silhouettes
-from kinedex.ops.tracking.observations import Places
+from kinedex.ops.tracking.observations import Observed, Places
 from kinedex.ops.tracking.rays import SIGMA_PX
 from kinedex.ops.tracking.triangulation import triangulate
 from kinedex.ops.tracking.views import camera_view
@@ -27,7 +27,7 @@ from kinedex.ops.wording import counted
 from kinedex.pipelines.ingestion.analysis import analyse
 from kinedex.pipelines.recordings.recorded_takes import Provenance, take_places
 from kinedex.pipelines.recordings.runs import Finished
-from kinedex.pipelines.tracking.chain_tracker import ChainTracker, Observed, TrackSettings, keypoint_sigma
+from kinedex.pipelines.tracking.chain_tracker import ChainTracker, TrackSettings, keypoint_sigma
 from kinedex.pipelines.tracking.parameters import TrackParameters
 from kinedex.pipelines.tracking.recordings import StoredRecording, stored_recording
 from kinedex.pipelines.tracking.tracked_takes import TRACK_KINDS, TrackResult, observed_frames

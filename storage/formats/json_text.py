@@ -8,7 +8,7 @@ from collections.abc import Mapping
 from decimal import Decimal
 from typing import Any
 
-from kinedex.ops.escapes import json_escaped
+from kinedex.ops.wording import json_escaped
 
 
 def json_text(document: object) -> str:

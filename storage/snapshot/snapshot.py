@@ -13,7 +13,7 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 
 from kinedex.catalog.features import FeatureSet
-from kinedex.catalog.sql.result_columns import ORIGIN
+from kinedex.catalog.sql.columns import ORIGIN
 from kinedex.ops.errors import ParameterError, StoreError, did_you_mean
 from kinedex.ops.words import ALL_KNOWN, TakeWords
 from kinedex.storage.snapshot.checked_files import CheckedFiles

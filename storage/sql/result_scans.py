@@ -9,7 +9,7 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 
-from kinedex.catalog.sql.result_columns import ORIGIN
+from kinedex.catalog.sql.columns import ORIGIN
 from kinedex.catalog.sql.result_views import ALL
 from kinedex.catalog.sql.views import VIEWS
 from kinedex.ops.intervals import in_seconds

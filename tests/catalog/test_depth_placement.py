@@ -5,8 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from kinedex.catalog.depth_cameras import DepthCamera
-from kinedex.catalog.depth_placement import placement_of
+from kinedex.catalog.depth_cameras import DepthCamera, placement_of
 from kinedex.ops.body.axisangle import matrices
 from tests.depth_files import camera
 

@@ -17,7 +17,7 @@ import pyarrow as pa
 from kinedex.catalog.classes import load_classes
 from kinedex.catalog.configs import config_names, config_path, load_yaml
 from kinedex.catalog.features import load_feature_set
-from kinedex.catalog.queries.query_files import parse_queries, read_queries
+from kinedex.catalog.queries.query_reader import parse_queries, read_queries
 from kinedex.catalog.queries.query_writer import write_queries
 from kinedex.catalog.skeletons.mappings import load_skeleton
 from kinedex.ops.errors import KinedexError, SourceError

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 
-from kinedex.ops.escapes import json_escaped, visible
+from kinedex.ops.wording import json_escaped, visible
 
 
 def test_every_control_character_of_json_is_escaped_and_its_values_stay() -> None:

@@ -17,7 +17,7 @@ from tests.plain_python import PLAIN
 SEVERAL: dict[str, tuple[int, str]] = {
     "kinedex.ops.distances.costs.fill_bounds": (2, "bounds of long templates need more than a byte"),
     "kinedex.ops.templates.averaging.add_others": (2, "clips are numbers or words"),
-    "kinedex.ops.templates.pairs.align_pairs": (2, "clips are numbers or words"),
+    "kinedex.ops.templates.warping.align_pairs": (2, "clips are numbers or words"),
 }
 """Listed kernels with more signatures than one: how many, and why."""
 

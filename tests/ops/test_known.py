@@ -9,11 +9,21 @@ from hypothesis import strategies as st
 
 from kinedex.ops.distances.dtw import distance_curves
 from kinedex.ops.errors import ParameterError
-from kinedex.ops.known import LEAST_KNOWN, compacted, is_applied, known_bits, known_share
 from kinedex.ops.ranges import TakeRanges
 from kinedex.ops.templates.derived_templates import restricted_template
 from kinedex.ops.templates.templates import QuantisedTemplate
-from kinedex.ops.words import ALL_KNOWN, NO_WORD, TakeWords, bits, pack
+from kinedex.ops.words import (
+    ALL_KNOWN,
+    LEAST_KNOWN,
+    NO_WORD,
+    TakeWords,
+    bits,
+    compacted,
+    is_applied,
+    known_bits,
+    known_share,
+    pack,
+)
 from tests.oracles import known as naive
 
 FEATURES = 10

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from kinedex.ops.distances.costs import F64, I64, cost_table, encode, lay_out
+from kinedex.ops.arrays import F64, I64, U64
+from kinedex.ops.distances.costs import cost_table, encode, lay_out
 from kinedex.ops.templates.templates import QuantisedTemplate
-from kinedex.ops.words import U64
 
 
 def best_paths(template: QuantisedTemplate, words: U64, ends: I64, ranges: I64 | None = None) -> tuple[I64, F64]:

@@ -7,8 +7,7 @@ from collections.abc import Callable
 import numpy as np
 
 from kinedex.ops.body.kinematic_chain import ChainBody, Poses
-from kinedex.ops.tracking.observations import BodyPoints, Places, Rays
-from kinedex.ops.tracking.prior_terms import PriorTerms
+from kinedex.ops.tracking.observations import BodyPoints, Places, PriorTerms, Rays
 from tests.oracles.kinematic_chain import joints, log, stepped
 
 

@@ -13,7 +13,7 @@ from pydantic import ValidationError
 from typer.testing import CliRunner
 
 from kinedex.catalog.classes import load_classes
-from kinedex.catalog.queries.query_files import parse_queries
+from kinedex.catalog.queries.query_reader import parse_queries
 from kinedex.catalog.queries.query_writer import write_queries
 from kinedex.commands.cli import app
 from kinedex.ops.errors import KinedexError

@@ -18,7 +18,7 @@ from kinedex.catalog.queries.keyframe_query import (
     restricted_query,
     word_pattern,
 )
-from kinedex.catalog.queries.query_files import parse_queries
+from kinedex.catalog.queries.query_reader import parse_queries
 from kinedex.ops.annotation.segments import Segment
 from kinedex.ops.ranking.ranking import rank
 from kinedex.ops.templates.derived_templates import restricted_template

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from kinedex.catalog.queries.keyframe_query import KeyframeQuery
-from kinedex.catalog.queries.query_files import parse_queries
+from kinedex.catalog.queries.query_reader import parse_queries
 from kinedex.pipelines.search.search import search_store
 from kinedex.storage.index.builder import build_index
 from kinedex.storage.index.generations import read_generation

@@ -8,8 +8,7 @@ import numpy as np
 import pytest
 
 from kinedex.ops.keyframes.consensus import Consensus
-from kinedex.ops.keyframes.individuals import Individual
-from kinedex.ops.keyframes.training_task import LearningRun
+from kinedex.ops.keyframes.training_task import Individual, LearningRun
 from kinedex.pipelines.keyframes.learning import Chosen, Outcome
 from kinedex.reports.keyframes_page import PANEL, bars, courses, keyframes_page, matrix_of, stiffnesses
 from tests.pipelines.labelled import BODY

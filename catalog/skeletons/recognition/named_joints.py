@@ -8,9 +8,8 @@ from itertools import pairwise
 
 import numpy as np
 
-from kinedex.catalog.skeletons.recognition.anatomy import ARM_TO_LEG, Anatomy, trunk_length
+from kinedex.catalog.skeletons.recognition.anatomy import ARM_TO_LEG, Anatomy, Sides, trunk_length
 from kinedex.catalog.skeletons.recognition.limbs import Limb
-from kinedex.catalog.skeletons.recognition.sides import Sides
 from kinedex.catalog.skeletons.recognition.tree import FINGERS, Tree
 from kinedex.catalog.skeletons.skeleton_fit import Mix
 

@@ -15,13 +15,14 @@ from kinedex.catalog.skeletons.recognition.anatomy import (
     ARM_TO_LEG,
     TRUNK_TO_LEG,
     Anatomy,
+    Sides,
     find_anatomies,
+    find_sides,
     trunk_length,
 )
 from kinedex.catalog.skeletons.recognition.limbs import Limb
 from kinedex.catalog.skeletons.recognition.named_joints import JointMixes, joint_mixes, leg_length
 from kinedex.catalog.skeletons.recognition.names import Vocabulary, load_vocabulary
-from kinedex.catalog.skeletons.recognition.sides import Sides, find_sides
 from kinedex.catalog.skeletons.recognition.tree import Tree, build_tree
 from kinedex.catalog.skeletons.skeleton_fit import Fit, Format, Mix, SkeletonMapping, axes_of_up
 from kinedex.ops.arrays import F64

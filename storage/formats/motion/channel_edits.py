@@ -18,8 +18,7 @@ from kinedex.catalog.skeletons.skeleton_fit import Fit
 from kinedex.ops.body import kinematics as k
 from kinedex.ops.body import transforms
 from kinedex.ops.body.euler import euler_angles, matrices_of
-from kinedex.ops.body.facing_direction import placement_of, turn_about_y
-from kinedex.ops.body.mirrored_motion import mirrored_places
+from kinedex.ops.body.facing_direction import mirrored_places, placement_of, turn_about_y
 from kinedex.ops.errors import KinedexError, ParameterError, SourceError
 from kinedex.storage.formats.motion.channel_cuts import SourceCut
 

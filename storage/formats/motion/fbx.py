@@ -10,8 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from kinedex.catalog.skeletons.mappings import Mappings
-from kinedex.ops.body.curves import Curve
-from kinedex.ops.body.keyframe_tracks import OFF_GRID, likely_rate
+from kinedex.ops.body.keyframe_tracks import OFF_GRID, Curve, likely_rate
 from kinedex.ops.body.transforms import global_transforms, without_scale
 from kinedex.ops.errors import SourceError
 from kinedex.storage.formats.motion.fbx_records import FREE_BYTES

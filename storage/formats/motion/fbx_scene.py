@@ -13,7 +13,7 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 
-from kinedex.ops.body.curves import Curve
+from kinedex.ops.body.keyframe_tracks import Curve
 from kinedex.ops.body.kinematics import euler
 from kinedex.ops.errors import SourceError
 from kinedex.storage.formats.motion.fbx_records import Record, Value, read_records

@@ -21,7 +21,7 @@ from kinedex.catalog.skeletons.recognition.landmarks import load_landmarks
 from kinedex.catalog.skeletons.recognition.recognised_tree import joint_places
 from kinedex.catalog.skeletons.skeleton_fit import Fit, axes_of_up
 from kinedex.ops.body import kinematics
-from kinedex.ops.body.gaps import Gap, fill_gaps
+from kinedex.ops.body.resample import Gap, fill_gaps
 from kinedex.ops.body.up_axis import up_axis
 from kinedex.ops.errors import SourceError
 from kinedex.storage.formats.motion.mapped_body import recognition_evidence, recognition_warnings, refuse_far, to_metres

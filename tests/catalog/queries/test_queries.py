@@ -13,7 +13,6 @@ from hypothesis import strategies as st
 
 from kinedex.catalog.configs import config_names
 from kinedex.catalog.features import FeatureSet, load_feature_set
-from kinedex.catalog.mirror import mirrored
 from kinedex.catalog.queries.keyframe_query import (
     SAME_FRAME,
     Gap,
@@ -21,9 +20,10 @@ from kinedex.catalog.queries.keyframe_query import (
     KeyframeQuery,
     choose_queries,
     features_of,
+    mirrored,
     pattern_of,
 )
-from kinedex.catalog.queries.query_files import parse_queries, query_file_paths, read_queries
+from kinedex.catalog.queries.query_reader import parse_queries, query_file_paths, read_queries
 from kinedex.catalog.queries.query_writer import write_queries
 from kinedex.ops.body.features import words as feature_words
 from kinedex.ops.errors import ConfigError, KinedexError, ParameterError

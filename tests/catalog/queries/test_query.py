@@ -10,7 +10,7 @@ from hypothesis import given, settings
 
 from kinedex.catalog.features import load_feature_set
 from kinedex.catalog.queries.query import Query
-from kinedex.catalog.queries.query_files import parse_queries, read_queries
+from kinedex.catalog.queries.query_reader import parse_queries, read_queries
 from kinedex.catalog.queries.query_writer import write_queries
 from kinedex.ops.errors import ConfigError, KinedexError
 from tests.catalog.queries.test_queries import any_query

@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from kinedex.ops.body.angles import LARGEST, sincos, sincos_far
+from kinedex.ops.body.kinematics import LARGEST, sincos, sincos_far
 
 
 def both(angles: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

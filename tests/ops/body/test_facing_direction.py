@@ -10,12 +10,14 @@ import pytest
 from kinedex.ops.body.facing_direction import (
     Placement,
     facing_yaw,
+    mirrored_names,
+    mirrored_places,
+    mirrored_quaternions,
     placement_of,
     start_at_origin,
     turn_about_y,
     turned_quaternions,
 )
-from kinedex.ops.body.mirrored_motion import mirrored_names, mirrored_places, mirrored_quaternions
 from kinedex.ops.errors import ParameterError
 
 LEFT, RIGHT = np.array([[1.0, 1.0, 0.0]]), np.array([[-1.0, 1.0, 0.0]])

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from kinedex.ops.body.fault_marks import fault_marks
+from kinedex.ops.body.motion_faults import fault_marks
 from tests.ops.body.test_motion_faults import JOINTS, RATE
 from tests.ops.body.test_plausibility import swinging
 

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 
 from kinedex.catalog.features import load_feature_set
 from kinedex.ops.body import features
-from kinedex.ops.body.feature_kernels import BLOCK
+from kinedex.ops.body.features import BLOCK
 from kinedex.ops.errors import ParameterError
 from kinedex.ops.words import NO_WORD
 from tests.bodies import index, standing, turned, upright, x_axes

@@ -6,7 +6,7 @@ import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
 
-from kinedex.ops.body.gaps import Gap, fill_gaps, find_gaps
+from kinedex.ops.body.resample import Gap, fill_gaps, find_gaps
 
 SEEN = st.lists(st.lists(st.booleans(), min_size=1, max_size=12), min_size=1, max_size=3).filter(
     lambda rows: len({len(row) for row in rows}) == 1

@@ -5,8 +5,16 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from kinedex.ops.body.curves import CONSTANT, CUBIC, LINEAR, NEXT_VALUE, OWN_SLOPES, Curve
-from kinedex.ops.body.keyframe_tracks import likely_rate, sample_track
+from kinedex.ops.body.keyframe_tracks import (
+    CONSTANT,
+    CUBIC,
+    LINEAR,
+    NEXT_VALUE,
+    OWN_SLOPES,
+    Curve,
+    likely_rate,
+    sample_track,
+)
 from kinedex.ops.errors import ParameterError
 
 TIMES = np.array([0.5, 1.0, 2.0, 2.5])

@@ -6,8 +6,7 @@ import numpy as np
 
 from kinedex.catalog.bodies import load_body
 from kinedex.ops.body.joint_tree import JOINTS, PARENTS
-from kinedex.ops.depth.cones import ConeBody
-from kinedex.ops.depth.pivots import turned_pose
+from kinedex.ops.depth.cones import ConeBody, turned_pose
 from tests.bodies import STANDING
 
 BODY = load_body()

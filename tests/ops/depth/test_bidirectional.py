@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from kinedex.ops.depth.bidirectional import CHANGE, choose_directions
+from kinedex.ops.depth.low_pass import CHANGE, choose_directions
 from kinedex.ops.depth.size_estimate import least_height
 from kinedex.ops.errors import ParameterError
 from tests.oracles.pose_lookup import best_directions

@@ -5,11 +5,22 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from kinedex.ops.arrays import F64
 from kinedex.ops.body.joint_tree import JOINTS
-from kinedex.ops.depth.cones import COLUMNS, body_distance, body_samples, place_cones, seen_side
+from kinedex.ops.depth.cones import COLUMNS, ConeBody, body_distance, place_cones, place_samples, seen_side
 from kinedex.ops.errors import ParameterError
 from tests.ops.depth.cone_bodies import BODY, HEIGHT, POSE, one_cone, random_pose
 from tests.oracles import cone_body as oracle
+
+
+def body_samples(body: ConeBody, pose: F64, height: float | None = None) -> F64:
+    """Return the samples C_χ of the surface, on the side towards the camera (thesis, 8.4.1)."""
+    cones = body.cones(body.height_m if height is None else height)
+    placed = np.empty((len(cones.radii), COLUMNS))
+    place_cones(cones, np.ascontiguousarray(pose, np.float64), placed)
+    samples, offsets = np.empty((len(body.sample_cones), 3)), np.empty((len(body.sample_cones), 3))
+    place_samples(body.samples, placed, samples, offsets)
+    return samples
 
 
 def test_the_worked_example_of_one_cone() -> None:

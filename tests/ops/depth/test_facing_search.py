@@ -4,8 +4,15 @@ from __future__ import annotations
 
 import numpy as np
 
-from kinedex.ops.depth.facing_search import ALL_MAPS_DEG, TURNS_DEG, add_turned, best_of_rows, propose_start
-from kinedex.ops.depth.lookup import Lookup, turned_direction
+from kinedex.ops.depth.lookup import (
+    ALL_MAPS_DEG,
+    TURNS_DEG,
+    Lookup,
+    add_turned,
+    best_of_rows,
+    propose_start,
+    turned_direction,
+)
 from kinedex.ops.depth.pose_database import facing_of, place_directions, turn_poses
 from kinedex.ops.depth.pose_distance import END_EFFECTORS, pose_distance
 from kinedex.ops.depth.pose_index import PoseIndex, pose_centres

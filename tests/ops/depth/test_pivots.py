@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from kinedex.ops.depth.pivots import moved_joints, turned_pose
+from kinedex.ops.depth.cones import moved_joints, turned_pose
 from tests.ops.depth.cone_bodies import BODY, POSE, bone_lengths
 from tests.oracles import cone_body as oracle
 

@@ -76,14 +76,6 @@ def test_every_other_pixel_is_used_at_stride_two() -> None:
     assert_cloud(cloud, oracle.cleaned(image[::2, ::2].astype(np.float64)).astype(np.float32), small)
 
 
-def test_ranges_are_brought_to_depths() -> None:
-    rays = ray_table(MATRIX, (), (32, 24))
-    depth = np.full((24, 32), 1.5)
-    length = np.sqrt(1 + (rays**2).sum(axis=2))
-    from_range = Preparation(rays, (2 * length), is_range=True).prepare(depth * length)
-    np.testing.assert_allclose(from_range.points, Preparation(rays, 2 * depth).prepare(depth).points, atol=1e-6)
-
-
 def test_a_lens_is_undone() -> None:
     numbers = (-0.2, 0.05, 0.001, -0.002)
     rays = ray_table(MATRIX, numbers, (32, 24))

@@ -5,13 +5,13 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from kinedex.ops.depth.cones import ConeBody
-from kinedex.ops.depth.image_search import depth_view
+from kinedex.ops.arrays import F64
+from kinedex.ops.depth.cones import ConeBody, pivots_of, turned_pose
+from kinedex.ops.depth.image_search import DepthView, depth_view
 from kinedex.ops.depth.normal_equations import add_blended_face, add_rigid_face, assemble, make_sums, moving_cones
-from kinedex.ops.depth.pivots import pivots_of, turned_pose
 from kinedex.ops.depth.points import FrameCloud
 from kinedex.ops.depth.pose_distance import COMPARED
-from kinedex.ops.depth.pose_fit import PoseFit, fit_pose
+from kinedex.ops.depth.pose_fit import SIGMA_M, STEPS, Form, PoseFit
 from kinedex.ops.errors import ParameterError
 from tests.ops.depth.cone_bodies import BODY, HEIGHT, POSE, bone_lengths, random_pose
 from tests.ops.depth.filmed_cones import LEVEL, MATRIX, film, standing, tilted, view
@@ -38,6 +38,16 @@ def signed(body: ConeBody, pose: np.ndarray, cone: int, s: float, point: np.ndar
     """The distance of a point from a place of an axis, less the radius there, which is held."""
     a, b = cone_body.ends(body, pose)[cone]
     return float(np.linalg.norm(point - a - s * (b - a)))
+
+
+def fit_pose(
+    body: ConeBody, height: float, view: DepthView, pose: F64, cloud: FrameCloud, steps: int = STEPS,
+    form: Form = "best",
+) -> F64:  # fmt: skip
+    """Fit a pose to the points of one frame."""
+    fit = PoseFit(body, height, view)
+    fit.look(cloud)
+    return fit.fit(np.ascontiguousarray(pose, np.float64), steps, SIGMA_M, form)
 
 
 @pytest.mark.parametrize("cone", range(len(BODY.cone_names)))

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from kinedex.ops.depth.pose_prediction import SHARE, predicted_pose
+from kinedex.ops.depth.tracker import SHARE, predicted_pose
 from tests.ops.depth.cone_bodies import POSE, bone_lengths, random_pose
 
 

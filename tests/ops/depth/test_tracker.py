@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from kinedex.ops.depth.facing_search import TURN_FRAMES, TURNS_DEG
 from kinedex.ops.depth.image_search import depth_view
+from kinedex.ops.depth.lookup import TURN_FRAMES, TURNS_DEG
 from kinedex.ops.depth.points import Preparation, ray_table
 from kinedex.ops.depth.pose_database import bone_directions, turn_poses
 from kinedex.ops.depth.pose_distance import COMPARED

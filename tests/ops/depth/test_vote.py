@@ -5,13 +5,26 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from kinedex.ops.depth.pose_fit import PoseFit
-from kinedex.ops.depth.vote import cost_of, pose_cost
+from kinedex.ops.arrays import F64
+from kinedex.ops.depth.cones import ConeBody
+from kinedex.ops.depth.image_search import DepthView
+from kinedex.ops.depth.points import FrameCloud
+from kinedex.ops.depth.pose_fit import Form, PoseFit
+from kinedex.ops.depth.vote import PoseCost, cost_of
 from kinedex.ops.errors import ParameterError
 from tests.ops.depth.cone_bodies import BODY, HEIGHT, POSE, random_pose
 from tests.ops.depth.filmed_cones import LEVEL, MATRIX, film, standing, tilted, view
 from tests.oracles import pose_fit as oracle
 from tests.plain_python import slow_as_python
+
+
+def pose_cost(
+    body: ConeBody, height: float, view: DepthView, pose: F64, cloud: FrameCloud, extrema: F64, form: Form = "best"
+) -> PoseCost:
+    """Return the cost of a pose in one frame."""
+    fit = PoseFit(body, height, view)
+    fit.look(cloud)
+    return cost_of(fit, np.ascontiguousarray(pose, np.float64), np.ascontiguousarray(extrema, np.float64), form)
 
 
 @pytest.mark.parametrize(("turn", "degrees"), [(LEVEL, 5), (tilted(20), 40)])

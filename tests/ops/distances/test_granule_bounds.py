@@ -6,11 +6,12 @@ import numpy as np
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from kinedex.ops.arrays import U64
 from kinedex.ops.distances.dtw import distance_curves
-from kinedex.ops.distances.granule_bounds import GRANULE, granule_bounds, granule_words
+from kinedex.ops.distances.pruning import GRANULE, granule_bounds, granule_words
 from kinedex.ops.search.bit_slices import GRANULES, slice_words
 from kinedex.ops.templates.templates import QuantisedTemplate
-from kinedex.ops.words import NO_WORD, U64
+from kinedex.ops.words import NO_WORD
 from tests.plain_python import slow_as_python
 
 FEATURES = 6

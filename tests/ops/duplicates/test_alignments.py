@@ -9,9 +9,10 @@ import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
 
+from kinedex.ops.arrays import U64
 from kinedex.ops.duplicates.alignments import FEW, FEW_RUNS, KEPT, LENGTH, SHORT, Alignments, find_alignments
 from kinedex.ops.search.runs import WordRuns, word_runs
-from kinedex.ops.words import NO_WORD, U64
+from kinedex.ops.words import NO_WORD
 
 
 def alignments(runs: WordRuns, mirrored: U64 | None = None, most_votes: int = 1000) -> Alignments:

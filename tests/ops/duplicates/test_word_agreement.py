@@ -9,8 +9,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from kinedex.ops.duplicates.alignments import Alignments
-from kinedex.ops.duplicates.word_agreement import LAG_FRAMES, plausible, word_differences
+from kinedex.ops.duplicates.alignments import LAG_FRAMES, Alignments, plausible, word_differences
 from kinedex.ops.words import NO_WORD
 
 words_of_take = st.lists(st.sampled_from([1, 2, 3, 7, int(NO_WORD)]), min_size=1, max_size=24)

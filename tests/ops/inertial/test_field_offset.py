@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from kinedex.ops.errors import ParameterError
-from kinedex.ops.inertial.field_offset import field_offset
+from kinedex.ops.inertial.orientation_filter import field_offset
 from kinedex.ops.inertial.rotations import conjugate, exp, multiply, rotate
 
 FIELD = np.array([20.5, 0.0, -43.7])

@@ -10,8 +10,8 @@ import pytest
 from kinedex.ops.errors import ParameterError
 from kinedex.ops.inertial import rotations as r
 from kinedex.ops.inertial.orientation_filter import TO_NORTH_WEST_UP, estimate, field_axis
-from kinedex.ops.inertial.packages import MissingPackageError
 from kinedex.ops.inertial.sensor_model import sensor_motion
+from kinedex.ops.packages import MissingPackageError
 
 TRUE = r.exp(np.array([0.3, -0.4, 0.9]))
 ACC = np.tile(r.rotate(r.conjugate(TRUE), np.array([0.0, 0.0, 9.81])), (400, 1))

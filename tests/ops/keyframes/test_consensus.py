@@ -10,8 +10,7 @@ import pytest
 from kinedex.ops.errors import ParameterError
 from kinedex.ops.keyframes.consensus import AGREEMENTS, agreement_matrix, find_consensus, recurring_keyframes
 from kinedex.ops.keyframes.genetic_algorithm import rank_bound, tune_gaps
-from kinedex.ops.keyframes.individuals import Individual
-from kinedex.ops.keyframes.training_task import EvolutionSettings, TrainingTask
+from kinedex.ops.keyframes.training_task import EvolutionSettings, Individual, TrainingTask
 from tests.ops.keyframes.test_genetic_algorithm import check_consensus, material
 
 

@@ -17,7 +17,7 @@ from kinedex.ops.keyframes.fitness import (
     retrieve,
     training_frames,
 )
-from kinedex.ops.keyframes.individuals import Individual
+from kinedex.ops.keyframes.training_task import Individual
 from kinedex.ops.search.gaps import UNBOUNDED
 from kinedex.ops.search.inverted_lists import inverted_lists
 from kinedex.ops.search.keyframe_search import keyframe_list, search_lists

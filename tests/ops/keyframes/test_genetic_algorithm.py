@@ -22,9 +22,9 @@ from kinedex.ops.keyframes.genetic_operators import (
     new_population,
     select_parents,
 )
-from kinedex.ops.keyframes.individuals import Individual
 from kinedex.ops.keyframes.training_task import (
     EvolutionSettings,
+    Individual,
     LearningRun,
     TrainingTask,
     make_training_task,

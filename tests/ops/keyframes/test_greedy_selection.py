@@ -6,8 +6,7 @@ import numpy as np
 
 from kinedex.ops.keyframes.genetic_algorithm import evaluate
 from kinedex.ops.keyframes.greedy_selection import forward_selection
-from kinedex.ops.keyframes.individuals import Individual
-from kinedex.ops.keyframes.training_task import EvolutionSettings
+from kinedex.ops.keyframes.training_task import EvolutionSettings, Individual
 from tests.ops.keyframes.test_genetic_algorithm import material
 
 

@@ -9,11 +9,10 @@ from hypothesis import strategies as st
 
 from kinedex.ops.distances.dtw import distance_curves
 from kinedex.ops.errors import ParameterError
-from kinedex.ops.priors.allocation import allocate, prior_rows
+from kinedex.ops.priors.allocation import MotionHit, allocate, at_rate, find_hits, prior_rows
+from kinedex.ops.priors.archive_poses import Motion
 from kinedex.ops.priors.constraints import Mark
-from kinedex.ops.priors.guard import refuted_frames
-from kinedex.ops.priors.hits import MotionHit, at_rate, find_hits
-from kinedex.ops.priors.motion import Motion
+from kinedex.ops.priors.stabilise import refuted_frames
 from kinedex.ops.templates.templates import QuantisedTemplate
 from tests.oracles import allocation as oracle
 

@@ -7,8 +7,7 @@ import pytest
 
 from kinedex.ops.body.kinematic_chain import Poses
 from kinedex.ops.errors import ParameterError
-from kinedex.ops.priors.alignment import clip_frames
-from kinedex.ops.priors.archive_poses import own_way, pose_table, relative_turns
+from kinedex.ops.priors.archive_poses import clip_frames, own_way, pose_table, relative_turns
 from kinedex.ops.templates.templates import Template
 from kinedex.ops.words import NO_WORD
 from tests.oracles import kinematic_chain as oracle

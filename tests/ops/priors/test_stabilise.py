@@ -11,12 +11,10 @@ from kinedex.catalog.features import load_feature_set
 from kinedex.ops.body.features import words as feature_words
 from kinedex.ops.body.kinematic_chain import ChainBody, Poses, forward
 from kinedex.ops.errors import ParameterError
-from kinedex.ops.priors.archive_poses import pose_table
-from kinedex.ops.priors.motion import Motion
+from kinedex.ops.priors.archive_poses import Motion, pose_table
 from kinedex.ops.priors.stabilise import Settings, StabilisedTrack, Track, stabilise
 from kinedex.ops.templates.templates import QuantisedTemplate
-from kinedex.ops.tracking.observations import Places
-from kinedex.ops.tracking.prior_terms import PriorTerms
+from kinedex.ops.tracking.observations import Observed, Places, PriorTerms
 from kinedex.ops.tracking.take_tracker import TakeTrack, track_take
 from kinedex.ops.tracking.trust import restart, trust
 from tests.ops.body.test_kinematic_chain import BODY, CHAIN
@@ -75,7 +73,7 @@ class PlaceTracker:
     carries_over: bool = False
 
     def track(self, start: Poses, priors: PriorTerms | None) -> TakeTrack:
-        return track_take(self.body, self.observations, None, self.rate_hz, start, priors, schedule=(3.0,))
+        return track_take(Observed(self.body, self.rate_hz, self.observations), start, priors, schedule=(3.0,))
 
     def nodes_seen(self, track: Track) -> np.ndarray:
         return trust(self.body, self.observations, None, track.poses).nodes_seen

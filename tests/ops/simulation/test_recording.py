@@ -10,10 +10,23 @@ from kinedex.ops.body.kinematic_chain import Poses, forward
 from kinedex.ops.body.pose_fit import measured_body
 from kinedex.ops.cameras.projection import camera_centre, project
 from kinedex.ops.errors import ParameterError
-from kinedex.ops.simulation.cameras import CameraRing, ring_of_cameras
-from kinedex.ops.simulation.failures import KINDS, Failure, FailureRate, Limbs, draw_failures, with_failures
-from kinedex.ops.simulation.keypoints import Detector, detected_keypoints, outside_hidden
-from kinedex.ops.simulation.recording import Setup, keypoint_places, simulated_recording, take_generators
+from kinedex.ops.simulation.recording import (
+    KINDS,
+    CameraRing,
+    Detector,
+    Failure,
+    FailureRate,
+    Limbs,
+    Setup,
+    detected_keypoints,
+    draw_failures,
+    keypoint_places,
+    outside_hidden,
+    ring_of_cameras,
+    simulated_recording,
+    take_generators,
+    with_failures,
+)
 from kinedex.ops.tracking.observations import BodyPoints
 from tests.bodies import STANDING
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from kinedex.ops.errors import ParameterError
-from kinedex.ops.synth.actors import actor_name, cast
+from kinedex.ops.synth.body import actor_name, cast
 from kinedex.ops.synth.motions import MOTIONS
 from kinedex.ops.synth.performance import RATE_HZ, perform_clip, perform_take
 from tests.ops.synth.bodies import places

@@ -6,10 +6,9 @@ import numpy as np
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from kinedex.ops.synth.actors import cast
-from kinedex.ops.synth.channels import INDEX
-from kinedex.ops.synth.noise import coloured
-from kinedex.ops.synth.score import Score, curves
+from kinedex.ops.synth.body import cast
+from kinedex.ops.synth.performance import coloured
+from kinedex.ops.synth.score import INDEX, Score, curves
 
 
 def blank() -> Score:

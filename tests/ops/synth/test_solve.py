@@ -5,9 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from kinedex.ops.synth.actors import cast
-from kinedex.ops.synth.body import BALL_HEIGHT, PARENTS
-from kinedex.ops.synth.channels import CHANNELS, INDEX
+from kinedex.ops.synth.body import BALL_HEIGHT, PARENTS, cast
+from kinedex.ops.synth.score import CHANNELS, INDEX
 from kinedex.ops.synth.solve import columns, solve
 from tests.ops.synth.bodies import places
 

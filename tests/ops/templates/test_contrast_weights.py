@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from kinedex.ops.templates.contrast_weights import contradicted_shares, contrast_weights
+from kinedex.ops.templates.derived_templates import contradicted_shares, contrast_weights
 from kinedex.ops.templates.templates import learn_soft
 from kinedex.ops.words import NO_WORD
 

@@ -10,8 +10,8 @@ from hypothesis.extra import numpy as arrays
 
 from kinedex.ops.errors import ParameterError
 from kinedex.ops.templates.derived_templates import consistency, contrast, joined, mirrored
-from kinedex.ops.templates.mirror import rearrange
 from kinedex.ops.templates.templates import Template, learn, quantise
+from kinedex.ops.words import rearrange
 
 SWAP = np.array([1, 0, 2, 4, 3])
 VALUES = st.sampled_from([0.0, 0.25, 0.5, 1.0])

@@ -9,7 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from kinedex.ops.errors import ParameterError
-from kinedex.ops.templates.drawn_clips import evenly_drawn
+from kinedex.ops.templates.templates import evenly_drawn
 from tests.oracles import templates as naive
 
 CLIPS = st.lists(st.tuples(st.integers(1, 9), st.sampled_from(["ann", "bob", "cid"])), min_size=1, max_size=40)

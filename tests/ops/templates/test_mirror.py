@@ -8,8 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from kinedex.ops.errors import ParameterError
-from kinedex.ops.templates.mirror import rearrange
-from kinedex.ops.words import NO_WORD, bits, pack
+from kinedex.ops.words import NO_WORD, bits, pack, rearrange
 
 
 @given(st.data())

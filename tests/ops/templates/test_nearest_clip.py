@@ -5,9 +5,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from kinedex.ops.arrays import U64
 from kinedex.ops.errors import ParameterError
 from kinedex.ops.templates.nearest_clip import nearest_clips
-from kinedex.ops.words import NO_WORD, U64
+from kinedex.ops.words import NO_WORD
 
 RANDOM = np.random.default_rng(3)
 ONE, OTHER = (RANDOM.integers(0, 1 << 40, 12, dtype=np.uint64) for _ in range(2))

@@ -14,9 +14,8 @@ from hypothesis import strategies as st
 from kinedex.ops.errors import ParameterError
 from kinedex.ops.templates import templates
 from kinedex.ops.templates.averaging import Hard, rebalance
-from kinedex.ops.templates.pairs import Paths, Stack, Weighted, all_pairs
 from kinedex.ops.templates.templates import Kind, QuantisedTemplate, Template, learn, learn_soft, quantise
-from kinedex.ops.templates.warping import align
+from kinedex.ops.templates.warping import Paths, Stack, Weighted, align, all_pairs
 from kinedex.ops.words import NO_WORD, bits, pack
 from tests.oracles import templates as naive
 

@@ -9,10 +9,8 @@ from hypothesis import strategies as st
 
 from kinedex.ops.body.capsules import Capsules
 from kinedex.ops.errors import ParameterError
-from kinedex.ops.tracking.body_mask import render_mask
-from kinedex.ops.tracking.contour_sums import add_contours, contour_sums
-from kinedex.ops.tracking.contours import contour_points, contour_room, find_contours
-from kinedex.ops.tracking.views import View, camera_view, mask_pixel
+from kinedex.ops.tracking.contours import add_contours, contour_points, contour_room, contour_sums, find_contours
+from kinedex.ops.tracking.views import View, camera_view, mask_pixel, render_mask
 from tests.ops.tracking.scene import CAPSULES, JOINTS, cameras, looking_at
 from tests.oracles import contours as oracle
 
@@ -103,7 +101,7 @@ def test_the_sums_of_a_camera_are_the_squares_of_its_correspondences() -> None:
     found = contour_room(CAPSULES, POSE)
     count, _ = find_contours(view, mask_of(POSE, view), moved, CAPSULES, found)
     sums = contour_sums(CAPSULES, len(POSE))
-    cost = add_contours(view, found, count, CAPSULES, sums)
+    cost = add_contours(view, found, count, sums)
 
     def squares(moves: np.ndarray) -> float:
         """Return the squares after moves (J, 3) of the joints."""

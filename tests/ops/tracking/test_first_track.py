@@ -14,7 +14,7 @@ from kinedex.ops.body.kinematic_chain import ChainBody, Poses
 from kinedex.ops.body.pose_fit import measured_body
 from kinedex.ops.errors import ParameterError
 from kinedex.ops.tracking.first_track import find_start, first_track
-from kinedex.ops.tracking.observations import BodyPoints, Places, Rays
+from kinedex.ops.tracking.observations import BodyPoints, Observed, Places, Rays
 from kinedex.ops.tracking.triangulation import filled, start_from_places, start_from_triangulation, triangulate
 from kinedex.ops.tracking.trust import interpolated, restart, trust
 from tests.ops.tracking.filmed_bodies import BODY, CHAIN, LIMBS, filmed, joint_places, keypoints, moving_poses
@@ -150,7 +150,7 @@ def test_legs_that_two_of_four_cameras_confuse_are_tracked_on() -> None:
     swaps = [(keypoint(f"l{name}"), keypoint(f"r{name}")) for name in ("hip", "knee", "ankle", "toes")]
     for left, right in swaps:
         rays.directions[15:27, :2, [left, right]] = rays.directions[15:27, :2, [right, left]]
-    found = first_track(BODY, rays, POINTS, 30.0)
+    found = first_track(Observed(BODY, 30.0, rays, POINTS))
     gaps = np.sqrt(((found.track.positions - joint_places(poses)) ** 2).sum(axis=2))[:, LIMBS]
     assert gaps.mean() < 0.02
     assert gaps.max() < 0.2
@@ -187,7 +187,7 @@ def recorded(folder: Path, name: str) -> tuple[ChainBody, Rays, BodyPoints, np.n
 @pytest.mark.shared
 def test_a_recording_with_confused_legs_is_tracked(shared: Path) -> None:
     body, rays, points, truth = recorded(shared / "data" / "cameras" / "simulated", "squat1Reps_seed1")
-    found = first_track(body, rays, points, 30.0)
+    found = first_track(Observed(body, 30.0, rays, points))
     gaps = np.sqrt(((found.track.positions - truth) ** 2).sum(axis=2))[:, LIMBS]
     assert gaps.mean() < 0.026
     assert np.median(gaps) < 0.023

@@ -9,12 +9,10 @@ from kinedex.ops.body.kinematic_chain import Poses, forward, pose_joints, pose_n
 from kinedex.ops.body.pose_fit import fit_poses
 from kinedex.ops.errors import ParameterError
 from kinedex.ops.tracking import frame_tracker as module
-from kinedex.ops.tracking.body_mask import render_mask
-from kinedex.ops.tracking.contour_sums import ContourSums
-from kinedex.ops.tracking.contours import Silhouettes
+from kinedex.ops.tracking.contours import ContourSums, Silhouettes
 from kinedex.ops.tracking.frame_tracker import FrameTrack, track_frames
-from kinedex.ops.tracking.observations import BodyPoints, Places, Rays
-from kinedex.ops.tracking.prior_terms import PriorTerms, no_priors
+from kinedex.ops.tracking.observations import BodyPoints, Observed, Places, PriorTerms, Rays, no_priors
+from kinedex.ops.tracking.views import render_mask
 from tests.ops.tracking.scene import BODY, CAPSULES, CHAIN, JOINTS, cameras
 from tests.plain_python import slow_as_python
 
@@ -57,7 +55,7 @@ def apart(track: FrameTrack) -> np.ndarray:
 
 
 def test_rays_without_noise_give_the_joints_back() -> None:
-    track = track_frames(BODY, rays(), POINTS, 30.0, sigma_px=0.05)
+    track = track_frames(Observed(BODY, 30.0, rays(), POINTS), sigma_px=0.05)
     assert apart(track).max() < 1e-4
     assert not track.lost.any()
     assert np.isnan(track.shifts_px).all()
@@ -68,7 +66,7 @@ def test_places_of_joints_are_followed_through_gaps() -> None:
     places = TRUTH.copy()
     places[2, CHAIN.joint("lknee")] = np.nan
     places[3] = np.nan
-    track = track_frames(BODY, Places(places, np.full(places.shape[:2], 0.002)), None, 30.0)
+    track = track_frames(Observed(BODY, 30.0, Places(places, np.full(places.shape[:2], 0.002))))
     assert apart(track)[[0, 1, 2, 4]].max() < 2e-3
     assert track.lost.tolist() == [False, False, False, True, False]
     np.testing.assert_array_equal(track.positions[3], track.positions[2])
@@ -76,7 +74,7 @@ def test_places_of_joints_are_followed_through_gaps() -> None:
 
 @slow_as_python
 def test_silhouettes_alone_are_followed() -> None:
-    track = track_frames(BODY, None, None, 30.0, START, silhouettes=Silhouettes(VIEWS, MASKS, CAPSULES))
+    track = track_frames(Observed(BODY, 30.0, None, None, Silhouettes(VIEWS, MASKS, CAPSULES)), START)
     assert apart(track).max() < 0.015
     assert not track.lost.any()
     assert track.contours.min() > 200
@@ -89,8 +87,8 @@ def test_rays_and_silhouettes_complete_each_other() -> None:
     hidden = [CHAIN.joint(name) for name in ("lknee", "lankle", "ltoes")]
     seen.confidence[:, :, hidden] = 0.0
     masks = Silhouettes(VIEWS, MASKS, CAPSULES)
-    both = track_frames(BODY, seen, POINTS, 30.0, START, silhouettes=masks)
-    alone = track_frames(BODY, seen, POINTS, 30.0, START)
+    both = track_frames(Observed(BODY, 30.0, seen, POINTS, masks), START)
+    alone = track_frames(Observed(BODY, 30.0, seen, POINTS), START)
     assert apart(both).max() < 0.015
     assert apart(both)[-1] < 0.5 * apart(alone)[-1]
 
@@ -101,7 +99,7 @@ def test_a_body_out_of_sight_keeps_its_pose_and_is_found_at_the_centroids() -> N
     joints = np.ascontiguousarray(forward(BODY, away)[0].transpose(2, 0, 1))[3:]
     there = tuple(render_mask(CAPSULES, joints[0], view).view(np.uint8) * np.uint8(255) for view in VIEWS)
     masks = [MASKS[0], NOTHING, there, there, there]
-    track = track_frames(BODY, None, None, 30.0, START, silhouettes=Silhouettes(VIEWS, masks, CAPSULES))
+    track = track_frames(Observed(BODY, 30.0, None, None, Silhouettes(VIEWS, masks, CAPSULES)), START)
     assert track.lost.tolist() == [False, True, True, False, False]
     np.testing.assert_array_equal(track.positions[1], track.positions[0])
     assert track.contours[1] == 0
@@ -112,7 +110,7 @@ def test_a_body_out_of_sight_keeps_its_pose_and_is_found_at_the_centroids() -> N
 def test_a_jump_that_no_body_makes_is_lost_until_there_was_time_for_it() -> None:
     places = TRUTH.copy()
     places[2:] += np.array([0.5, 0.0, 0.0])
-    track = track_frames(BODY, Places(places, np.full(places.shape[:2], 0.01)), None, 30.0)
+    track = track_frames(Observed(BODY, 30.0, Places(places, np.full(places.shape[:2], 0.01))))
     assert track.lost.tolist() == [False, False, True, False, False]
 
 
@@ -124,8 +122,8 @@ def test_priors_pull_unless_silhouettes_contradict_them() -> None:
     masks = Silhouettes(VIEWS, MASKS, CAPSULES)
 
     def tracks(of: PriorTerms | None) -> list[Poses]:
-        on_rays = track_frames(BODY, rays(), POINTS, 30.0, START, of)
-        return [on_rays.poses, track_frames(BODY, None, None, 30.0, START, of, masks).poses]
+        on_rays = track_frames(Observed(BODY, 30.0, rays(), POINTS), START, of)
+        return [on_rays.poses, track_frames(Observed(BODY, 30.0, None, None, masks), START, of).poses]
 
     without = tracks(None)
     for one, other in zip(without, tracks(priors), strict=True):
@@ -169,15 +167,15 @@ def test_steps_on_silhouettes_end_where_the_squares_of_the_twin_are_least() -> N
 def test_what_cannot_be_tracked_is_refused() -> None:
     masks = Silhouettes(VIEWS, MASKS, CAPSULES)
     with pytest.raises(ParameterError, match="observations must be rays or places, unless there are silhouettes"):
-        track_frames(BODY, None, None, 30.0, START)
+        track_frames(Observed(BODY, 30.0, None), START)
     with pytest.raises(ParameterError, match="first must be a pose, which silhouettes alone do not give"):
-        track_frames(BODY, None, None, 30.0, silhouettes=masks)
+        track_frames(Observed(BODY, 30.0, None, None, masks))
     with pytest.raises(ParameterError, match="rate_hz must be positive"):
-        track_frames(BODY, rays(), POINTS, 0.0)
+        track_frames(Observed(BODY, 0.0, rays(), POINTS))
     with pytest.raises(ParameterError, match="masks must be those of 5 frames, got 2"):
-        track_frames(BODY, rays(), POINTS, 30.0, START, silhouettes=Silhouettes(VIEWS, MASKS[:2], CAPSULES))
+        track_frames(Observed(BODY, 30.0, rays(), POINTS, Silhouettes(VIEWS, MASKS[:2], CAPSULES)), START)
     wrong = [*MASKS[:1], (MASKS[1][0][:100], *MASKS[1][1:]), *MASKS[2:]]
     with pytest.raises(ParameterError, match=r"mask of camera 0 in frame 1 must be of shape \(480, 640\)"):
-        track_frames(BODY, None, None, 30.0, START, silhouettes=Silhouettes(VIEWS, wrong, CAPSULES))
+        track_frames(Observed(BODY, 30.0, None, None, Silhouettes(VIEWS, wrong, CAPSULES)), START)
     with pytest.raises(ParameterError, match="masks of frame 0 must be those of 3 cameras, got 4"):
-        track_frames(BODY, None, None, 30.0, START, silhouettes=Silhouettes(VIEWS[:3], MASKS, CAPSULES))
+        track_frames(Observed(BODY, 30.0, None, None, Silhouettes(VIEWS[:3], MASKS, CAPSULES)), START)

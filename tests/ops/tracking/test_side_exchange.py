@@ -6,7 +6,7 @@ import numpy as np
 
 from kinedex.ops.body.kinematic_chain import forward
 from kinedex.ops.tracking.observations import BodyPoints, Places, Rays
-from kinedex.ops.tracking.side_exchange import exchanged_sides
+from kinedex.ops.tracking.trust import exchanged_sides
 from tests.ops.body.test_kinematic_chain import BODY, CHAIN, random_poses
 
 NAMES = [s + n for s in "lr" for n in ("hip", "knee", "ankle", "toes", "wrist")]

@@ -7,11 +7,16 @@ import pytest
 
 from kinedex.ops.body.kinematic_chain import Poses, forward
 from kinedex.ops.errors import ParameterError
-from kinedex.ops.tracking.contour_sums import add_contours, contour_sums
-from kinedex.ops.tracking.contours import Silhouettes, contour_room, find_contours
+from kinedex.ops.tracking.contours import Silhouettes, add_contours, contour_room, contour_sums, find_contours
 from kinedex.ops.tracking.frame_tracker import track_frames
-from kinedex.ops.tracking.silhouette_terms import silhouette_terms, track_take_on_silhouettes, with_places
-from kinedex.ops.tracking.take_tracker import TakeTrack, track_take
+from kinedex.ops.tracking.observations import Observed
+from kinedex.ops.tracking.take_tracker import (
+    TakeTrack,
+    silhouette_terms,
+    track_take,
+    track_take_on_silhouettes,
+    with_places,
+)
 from tests.ops.tracking.scene import BODY, CAPSULES, CHAIN
 from tests.ops.tracking.test_frame_tracker import FRAMES, LIMBS, MASKS, POINTS, START, TRUTH, VIEWS, motion, rays
 from tests.plain_python import slow_as_python
@@ -31,7 +36,7 @@ def test_place_terms_bound_the_squares_of_the_correspondences_and_touch_them() -
     joints = np.ascontiguousarray(forward(BODY, STILL)[0][:, :, 4])
     sums, room = contour_sums(CAPSULES, len(joints)), contour_room(CAPSULES, joints)
     for view, mask in SILHOUETTES.seen(4):
-        add_contours(view, room, find_contours(view, mask, joints, CAPSULES, room)[0], CAPSULES, sums)
+        add_contours(view, room, find_contours(view, mask, joints, CAPSULES, room)[0], sums)
     own = terms.place_frames == 4
     at, weights, targets = (array[own] for array in (terms.place_joints, terms.place_weights, terms.place_targets))
 
@@ -57,8 +62,8 @@ def test_place_terms_bound_the_squares_of_the_correspondences_and_touch_them() -
 
 @slow_as_python
 def test_a_take_is_tracked_on_silhouettes_alone() -> None:
-    start = track_frames(BODY, None, None, 30.0, START, silhouettes=SILHOUETTES)
-    track = track_take_on_silhouettes(BODY, None, None, 30.0, start.poses, SILHOUETTES)
+    start = track_frames(Observed(BODY, 30.0, None, None, SILHOUETTES), START)
+    track = track_take_on_silhouettes(Observed(BODY, 30.0, None, None, SILHOUETTES), start.poses)
     assert apart(track).max() < 0.012
     assert track.costs.max() < 1.5  # the mean way from the contour to the boundary in pixels
 
@@ -68,8 +73,8 @@ def test_silhouettes_show_what_keypoints_do_not() -> None:
     seen = rays()
     hidden = [CHAIN.joint(name) for name in ("lknee", "lankle", "ltoes")]
     seen.confidence[:, :, hidden] = 0.0
-    alone = track_take(BODY, seen, POINTS, 30.0, STILL)
-    both = track_take_on_silhouettes(BODY, seen, POINTS, 30.0, alone.poses, SILHOUETTES)
+    alone = track_take(Observed(BODY, 30.0, seen, POINTS), STILL)
+    both = track_take_on_silhouettes(Observed(BODY, 30.0, seen, POINTS, SILHOUETTES), alone.poses)
     assert apart(both)[-1] < 0.5 * apart(alone)[-1]
     assert apart(both).max() < 0.01
 
@@ -81,4 +86,4 @@ def test_priors_stay_beside_the_terms_of_silhouettes() -> None:
     assert (np.diff(twice.place_frames) >= 0).all()
     assert twice.turn_weights is terms.turn_weights
     with pytest.raises(ParameterError, match="masks must be those of 5 frames, got 2"):
-        track_take_on_silhouettes(BODY, None, None, 30.0, STILL, Silhouettes(VIEWS, MASKS[:2], CAPSULES))
+        track_take_on_silhouettes(Observed(BODY, 30.0, None, None, Silhouettes(VIEWS, MASKS[:2], CAPSULES)), STILL)

@@ -9,10 +9,9 @@ from kinedex.ops.body.kinematic_chain import Poses
 from kinedex.ops.errors import ParameterError
 from kinedex.ops.tracking import take_tracker
 from kinedex.ops.tracking.band import assemble, make_band, solve_band
-from kinedex.ops.tracking.blocks import prior_arrays
+from kinedex.ops.tracking.blocks import TrackProblem, prior_arrays
 from kinedex.ops.tracking.first_track import find_start, first_track
-from kinedex.ops.tracking.observations import Places, Rays
-from kinedex.ops.tracking.prior_terms import PriorTerms, no_priors
+from kinedex.ops.tracking.observations import Observed, Places, PriorTerms, Rays, no_priors
 from kinedex.ops.tracking.rays import make_evidence
 from kinedex.ops.tracking.take_tracker import connected_triples, smoothness_weights, track_take, windows
 from tests.ops.tracking.filmed_bodies import BODY, CHAIN, LIMBS, filmed, joint_places, keypoints, moving_poses
@@ -72,9 +71,9 @@ def solved(
 ) -> Poses:
     """The minimum, run to convergence."""
     pulls = prior_arrays(BODY, priors, len(start.places))
-    system = take_tracker._System(BODY, make_evidence(BODY, rays, POINTS, sigma_px), pulls)
+    problem = TrackProblem(BODY.arrays, make_evidence(BODY, rays, POINTS, sigma_px), pulls)
     copy = Poses(start.places.copy(), start.turns.copy())
-    return take_tracker._solve(system, smoothness_weights(BODY, 30.0), triples, copy, widths, 1e-14, 400)[0]
+    return take_tracker._solve(problem, smoothness_weights(BODY, 30.0), triples, copy, widths, 1e-14, 400)[0]
 
 
 @slow_as_python
@@ -87,9 +86,9 @@ def test_the_minimum_is_that_of_the_twin(width: float, cuts: tuple[int, ...]) ->
     residuals, derivatives = oracle.jacobian(BODY, found, 30.0, triples, twin_terms(rays, found, priors, width))
     step = np.linalg.lstsq(derivatives, -residuals)[0]
     np.testing.assert_allclose(step, 0, atol=1e-5)  # where Gauss and Newton of the twin stay
-    evidence, pulls = make_evidence(BODY, rays, POINTS), prior_arrays(BODY, priors, 4)
+    problem = TrackProblem(BODY.arrays, make_evidence(BODY, rays, POINTS), prior_arrays(BODY, priors, 4))
     band = make_band(BODY.arrays, np.arange(20), smoothness_weights(BODY, 30.0), triples)
-    cost = assemble(BODY.arrays, evidence, pulls, *found, width, np.zeros(rays.confidence.shape), True, band)
+    cost = assemble(problem, *found, width, np.zeros(rays.confidence.shape), True, band)
     assert cost == pytest.approx((residuals**2).sum(), rel=1e-8)
 
 
@@ -98,8 +97,8 @@ def test_g_and_the_data_part_of_h_are_those_of_the_twin() -> None:
     rays, priors, triples = filmed(poses, POINTS, 0.004), some_priors(poses), connected_triples(3, ())
     beside = moved(poses)
     band = make_band(BODY.arrays, np.arange(20), smoothness_weights(BODY, 30.0), triples)
-    evidence, pulls = make_evidence(BODY, rays, POINTS), prior_arrays(BODY, priors, 3)
-    assemble(BODY.arrays, evidence, pulls, *beside, np.inf, np.zeros(rays.confidence.shape), True, band)
+    problem = TrackProblem(BODY.arrays, make_evidence(BODY, rays, POINTS), prior_arrays(BODY, priors, 3))
+    assemble(problem, *beside, np.inf, np.zeros(rays.confidence.shape), True, band)
     residuals, derivatives = oracle.jacobian(BODY, beside, 30.0, triples, twin_terms(rays, beside, priors, np.inf))
     scale = np.abs(band.gradient).max()
     np.testing.assert_allclose(band.gradient.ravel() / scale, derivatives.T @ residuals / scale, atol=1e-7)
@@ -155,7 +154,7 @@ def test_a_turned_world_turns_the_track() -> None:
     rays = filmed(poses, POINTS, 0.003)
     turn = exp(np.array([0, 1.1, 0]))
     other = type(rays)(rays.centres @ turn.T, rays.focal_px, rays.directions @ turn.T, rays.confidence)
-    first, second = (first_track(BODY, one, POINTS, 30.0).track for one in (rays, other))
+    first, second = (first_track(Observed(BODY, 30.0, one, POINTS)).track for one in (rays, other))
     np.testing.assert_allclose(second.positions, first.positions @ turn.T, atol=1e-6)
     np.testing.assert_allclose(second.costs, first.costs, rtol=1e-6)
 
@@ -166,7 +165,7 @@ def test_the_same_input_gives_the_same_bytes_and_weightless_priors_change_nothin
     rays = filmed(poses, POINTS, 0.003)
     start = find_start(BODY, rays, POINTS)
     none = no_priors(12, 20)
-    tracks = [track_take(BODY, rays, POINTS, 30.0, start, priors) for priors in (None, None, none)]
+    tracks = [track_take(Observed(BODY, 30.0, rays, POINTS), start, priors) for priors in (None, None, none)]
     assert len({track.positions.tobytes() + track.poses.turns.tobytes() for track in tracks}) == 1
 
 
@@ -187,9 +186,9 @@ def test_windows_give_the_track_of_the_whole_take(monkeypatch: pytest.MonkeyPatc
     poses = moving_poses(200)
     rays = filmed(poses, POINTS, 0.003)
     start = find_start(BODY, rays, POINTS)
-    whole = track_take(BODY, rays, POINTS, 30.0, start)
+    whole = track_take(Observed(BODY, 30.0, rays, POINTS), start)
     monkeypatch.setattr(take_tracker, "WINDOW_FRAMES", 110)
-    parts = track_take(BODY, rays, POINTS, 30.0, start)
+    parts = track_take(Observed(BODY, 30.0, rays, POINTS), start)
     assert np.abs(parts.positions - whole.positions)[:, LIMBS].max() < 1e-4
 
 
@@ -207,7 +206,7 @@ def test_three_frames_of_a_3d_track_come_nearer_to_it() -> None:
     observed = Places(places + np.random.default_rng(0).normal(0, 0.01, places.shape), np.full((3, 24), 0.02))
     observed.places[:, [joint for joint in range(24) if joint not in LIMBS[:3]]] = np.nan
     start = moved(poses, 0.02)
-    track = track_take(BODY, observed, None, 30.0, start, schedule=(3.0,))
+    track = track_take(Observed(BODY, 30.0, observed), start, schedule=(3.0,))
     before = ((joint_places(start) - observed.places)[:, LIMBS[:3]] ** 2).sum()
     assert ((track.positions - observed.places)[:, LIMBS[:3]] ** 2).sum() < 0.5 * before
 
@@ -223,7 +222,6 @@ def test_what_cannot_be_tracked_is_refused() -> None:
         ({"start": moving_poses(3)}, "start must be a pose for each of the 2 frames"),
         ({"priors": no_priors(3, 20)}, "priors must be terms of 2 frames and 20 nodes"),
     ):
+        observed = Observed(BODY, arguments.pop("rate_hz", 30.0), rays, POINTS, cuts=arguments.pop("cuts", ()))
         with pytest.raises(ParameterError, match=message):
-            track_take(
-                **({"body": BODY, "observations": rays, "points": POINTS, "rate_hz": 30.0, "start": poses} | arguments)
-            )  # type: ignore[arg-type]
+            track_take(observed, **({"start": poses} | arguments))  # type: ignore[arg-type]

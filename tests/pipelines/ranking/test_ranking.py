@@ -16,7 +16,7 @@ from typer.testing import CliRunner
 
 from kinedex import open_store as open_archive
 from kinedex.catalog.queries.keyframe_query import Keyframe, KeyframeQuery
-from kinedex.catalog.queries.query_files import read_query_files
+from kinedex.catalog.queries.query_reader import read_query_files
 from kinedex.commands.cli import app
 from kinedex.ops.errors import KinedexError
 from kinedex.ops.intervals import Interval

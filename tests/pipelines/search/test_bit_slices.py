@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 
 from kinedex.catalog.features import load_feature_set
 from kinedex.catalog.queries.keyframe_query import KeyframeQuery, word_pattern
-from kinedex.catalog.queries.query_files import parse_queries
+from kinedex.catalog.queries.query_reader import parse_queries
 from kinedex.ops.errors import StoreError
 from kinedex.ops.ranges import TakeRanges
 from kinedex.ops.search.bit_slice_search import search_slices
@@ -150,7 +150,7 @@ _READER = """
 import sys
 from pathlib import Path
 from kinedex.catalog.features import load_feature_set
-from kinedex.catalog.queries.query_files import parse_queries
+from kinedex.catalog.queries.query_reader import parse_queries
 from kinedex.pipelines.search.bit_slices import sliced_store
 from kinedex.storage.store.store import open_store
 from tests.pipelines.search.test_bit_slices import QUERIES, listed

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from typer.testing import CliRunner
 
 from kinedex.catalog.features import load_feature_set
-from kinedex.catalog.queries.query_files import parse_queries
+from kinedex.catalog.queries.query_reader import parse_queries
 from kinedex.commands.cli import app
 from kinedex.ops.errors import KinedexError, ParameterError, StoreError
 from kinedex.ops.search.query_proposal import SetCounts, propose_poses

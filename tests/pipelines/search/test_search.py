@@ -13,7 +13,7 @@ import pytest
 
 from kinedex.catalog.features import load_feature_set
 from kinedex.catalog.queries.keyframe_query import KeyframeQuery, choose_queries
-from kinedex.catalog.queries.query_files import parse_queries, read_queries
+from kinedex.catalog.queries.query_reader import parse_queries, read_queries
 from kinedex.ops.errors import KinedexError, StoreError
 from kinedex.ops.ranges import TakeRanges
 from kinedex.ops.search.inverted_lists import InvertedLists, inverted_lists

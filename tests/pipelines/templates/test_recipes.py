@@ -7,9 +7,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from kinedex.catalog.template_files import NamedTemplate, write_yaml
+from kinedex.catalog.template_files import write_yaml
 from kinedex.ops.errors import KinedexError
-from kinedex.ops.templates.templates import Kind, Learned, Template, quantise
+from kinedex.ops.templates.templates import Kind, Learned, NamedTemplate, Template, quantise
 from kinedex.ops.words import NO_WORD
 from kinedex.pipelines.stages import learn_templates
 from kinedex.pipelines.stages.annotate import Annotate

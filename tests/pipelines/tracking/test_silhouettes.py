@@ -12,9 +12,7 @@ from typer.testing import CliRunner
 
 from kinedex.commands.cli import app
 from kinedex.console.terminal import Terminal
-from kinedex.ops.simulation.cameras import CameraRing
-from kinedex.ops.simulation.failures import FailureRate
-from kinedex.ops.simulation.recording import Setup
+from kinedex.ops.simulation.recording import CameraRing, FailureRate, Setup
 from kinedex.pipelines.simulation.camera_recordings import Request, simulate_cameras
 from kinedex.pipelines.stages.ingest import Ingest
 from kinedex.storage.store.store import open_store

@@ -14,7 +14,7 @@ import duckdb
 import pyarrow as pa
 import pytest
 
-from kinedex.catalog.sql.result_columns import ORIGIN
+from kinedex.catalog.sql.columns import ORIGIN
 from kinedex.ops.errors import KinedexError, StoreError
 from kinedex.storage.index.builder import build_index
 from kinedex.storage.index.generations import current_generation

@@ -16,8 +16,8 @@ from kinedex.catalog.features import load_feature_set
 from kinedex.catalog.skeletons.evidence import Evidence
 from kinedex.catalog.skeletons.mappings import load_mappings
 from kinedex.catalog.skeletons.recognition.landmarks import load_landmarks
+from kinedex.catalog.skeletons.recognition.point_centres import stand_ins
 from kinedex.catalog.skeletons.recognition.points import recognise_points
-from kinedex.catalog.skeletons.recognition.stand_ins import stand_ins
 from kinedex.ops.body import features
 from kinedex.ops.errors import SourceError
 from kinedex.storage.formats.motion.reader_table import read_body

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 import yaml
 
-from kinedex.catalog.depth_placement import placement_of
+from kinedex.catalog.depth_cameras import placement_of
 from kinedex.catalog.depth_recordings import load_depth_recordings
 from kinedex.ops.depth.background import percentile_depths
 from kinedex.ops.errors import KinedexError

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 
 from kinedex.ops.body import kinematics
 from kinedex.ops.errors import ParameterError
-from kinedex.ops.synth.actors import cast
+from kinedex.ops.synth.body import cast
 from kinedex.ops.synth.performance import perform_clip
 from kinedex.ops.synth.solve import columns
 from kinedex.storage.formats.motion.acclaim import read_amc

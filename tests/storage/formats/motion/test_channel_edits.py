@@ -11,11 +11,16 @@ import pytest
 import kinedex
 from kinedex.catalog.features import load_feature_set
 from kinedex.catalog.skeletons.mappings import load_mappings
-from kinedex.ops.body.facing_direction import Placement, placement_of, start_at_origin
-from kinedex.ops.body.mirrored_motion import mirrored_places, mirrored_quaternions
+from kinedex.ops.body.facing_direction import (
+    Placement,
+    mirrored_places,
+    mirrored_quaternions,
+    placement_of,
+    start_at_origin,
+)
 from kinedex.ops.body.resample import covered_frames, resample
 from kinedex.ops.errors import ParameterError, SourceError
-from kinedex.ops.synth.actors import cast
+from kinedex.ops.synth.body import cast
 from kinedex.ops.synth.performance import perform_clip
 from kinedex.ops.synth.solve import columns
 from kinedex.pipelines.ingestion.analysis import analyse
