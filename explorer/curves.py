@@ -33,7 +33,7 @@ from kinedex.ops.templates.warping import align
 from kinedex.ops.words import ALL_KNOWN, U64
 from kinedex.pipelines.annotation.parameters import DEFAULT_TAU
 from kinedex.pipelines.templates.learning import SubclassTemplate
-from kinedex.pipelines.templates.nearest_examples import clips_of
+from kinedex.pipelines.templates.stored_clips import clips_of
 from kinedex.pipelines.templates.stored_templates import choose_template, stored_templates
 from kinedex.storage.store.store import Store
 

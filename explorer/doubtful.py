@@ -18,7 +18,7 @@ from kinedex.explorer.same import command_line, python_lines
 from kinedex.ops.errors import KinedexError
 from kinedex.pipelines.labels.selection import Selection, least_confident_first, selected
 from kinedex.pipelines.templates.learning import read_templates
-from kinedex.pipelines.templates.nearest_examples import nearest_examples
+from kinedex.pipelines.templates.stored_clips import nearest_examples
 from kinedex.storage.duck import quote
 from kinedex.storage.store.store import Store, data_frame
 

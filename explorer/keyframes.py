@@ -46,7 +46,7 @@ from kinedex.pipelines.keyframes.runs import outcomes_of
 from kinedex.pipelines.keyframes.stored_queries import sentence
 from kinedex.pipelines.search.query_proposal import propose_query
 from kinedex.pipelines.search.search import search_remarks, search_store
-from kinedex.pipelines.templates.nearest_examples import stored_clips, words_of
+from kinedex.pipelines.templates.stored_clips import clip_intervals, words_of
 from kinedex.storage.snapshot.schemas import hits_of
 from kinedex.storage.store.store import Store
 
@@ -252,7 +252,7 @@ def _rows(store: Store, outcome: Outcome, queries: Sequence[KeyframeQuery]) -> l
 
 def _seen(store: Store, outcome: Outcome, query: KeyframeQuery) -> Row | None:
     """Return the frames of a query's poses in the first training clip that has a hit; None if no clip has one."""
-    clips = stored_clips(store, outcome.clips)
+    clips = clip_intervals(store, outcome.clips)
     words = words_of(store, sorted({take for take, _, _ in clips}))
     pattern = word_pattern(query, store.feature_set)
     for take, start, stop in clips:

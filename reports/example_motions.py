@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 from kinedex.ops.intervals import TakeSegment
 from kinedex.pipelines.engine.display import Progress, no_progress
-from kinedex.pipelines.templates.nearest_examples import Key, nearest_examples
+from kinedex.pipelines.templates.stored_clips import Key, nearest_examples
 from kinedex.reports.data import Template
 from kinedex.reports.motions import MOST_BYTES, Motions
 from kinedex.storage.store.store import Store

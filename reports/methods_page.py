@@ -22,7 +22,7 @@ from kinedex.pipelines.evaluation.tables import (
     sentence,
     six,
 )
-from kinedex.pipelines.templates.nearest_examples import Key
+from kinedex.pipelines.templates.stored_clips import Key
 from kinedex.reports.method_figures import (
     HEIGHT,
     ROOMS,

@@ -13,7 +13,7 @@ from kinedex.pipelines.engine.display import Progress, no_progress
 from kinedex.pipelines.evaluation.folds import TestTake
 from kinedex.pipelines.evaluation.study import SplitResult, Study, take_title
 from kinedex.pipelines.templates.learning import TrainingClips
-from kinedex.pipelines.templates.nearest_examples import Example, Key, stored_clips, words_of
+from kinedex.pipelines.templates.stored_clips import Example, Key, clip_intervals, words_of
 from kinedex.reports.motions import Motions
 from kinedex.storage.store.store import Store
 
@@ -60,7 +60,7 @@ def _by_class(
     """Return the clips of each class as take, start and stop, without mirrored clips."""
     found: dict[str, list[tuple[str, int, int]]] = defaultdict(list)
     for one in clips:
-        found[classes.get(one.subclass, one.subclass)] += stored_clips(
+        found[classes.get(one.subclass, one.subclass)] += clip_intervals(
             store, one.names[: len(one.names) - one.mirrored]
         )
     return found

@@ -10,7 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from kinedex.ops.templates.nearest_clip import nearest_clips
-from kinedex.pipelines.templates.nearest_examples import words_of
+from kinedex.pipelines.templates.stored_clips import words_of
 from kinedex.storage.store.store import Store
 
 Place = tuple[str, int, int]

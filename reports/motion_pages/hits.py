@@ -11,7 +11,7 @@ import pyarrow as pa
 from kinedex.ops.errors import KinedexError
 from kinedex.ops.intervals import shown_seconds
 from kinedex.ops.wording import counted
-from kinedex.pipelines.templates.nearest_examples import clips_of
+from kinedex.pipelines.templates.stored_clips import clips_of
 from kinedex.pipelines.templates.stored_templates import stored_templates
 from kinedex.reports.hit_strip import StripRow, draw_strip
 from kinedex.reports.motion_pages import FIGURES

@@ -17,7 +17,7 @@ from kinedex.ops.templates.templates import Template, quantise
 from kinedex.ops.templates.warping import align
 from kinedex.ops.words import NO_WORD, U64
 from kinedex.pipelines.templates.learning import SubclassTemplate
-from kinedex.pipelines.templates.nearest_examples import clips_of
+from kinedex.pipelines.templates.stored_clips import clips_of
 from kinedex.pipelines.templates.template_text import heading
 from kinedex.reports.motion_pages import FIGURES
 from kinedex.reports.motion_pages.examples import Place

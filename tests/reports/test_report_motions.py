@@ -16,7 +16,7 @@ from hypothesis import strategies as st
 from kinedex.ops.errors import KinedexError
 from kinedex.ops.intervals import TakeSegment
 from kinedex.pipelines.engine.runner import run_pipeline
-from kinedex.pipelines.templates.nearest_examples import nearest_examples
+from kinedex.pipelines.templates.stored_clips import nearest_examples
 from kinedex.reports import motions
 from kinedex.reports.annotation_page import annotation_page
 from kinedex.reports.data import Template
