@@ -73,7 +73,10 @@ def queue(archive: Archive, asked: QueueQuestion, _request: Request) -> Row:
         "offset": asked.offset,
         "rows": [
             {key: row[key] for key in keys}
-            | {"take_id": store.take_ids.get(row["take"]), "nearest": nearest.get(_key(row))}
+            | {
+                "take_id": store.take_ids.get(row["take"]),
+                "nearest": nearest.get((row["take"], row["class"], row["start"], row["stop"])),
+            }
             for row in rows
         ],
         "command": command_line("kinedex", "sql", archive.path, ordered),
@@ -132,10 +135,6 @@ def _nearest(store: Store, stage: str, rows: list[Row]) -> dict[tuple[str, str, 
         key: {"take_id": store.take_ids[one.take], "take": one.take, "start": one.start, "stop": one.stop}
         for key, one in found.items()
     }
-
-
-def _key(row: Row) -> tuple[str, str, int, int]:
-    return row["take"], row["class"], row["start"], row["stop"]
 
 
 routes = [post("/api/labels/queue", queue, QueueQuestion)]

@@ -64,6 +64,14 @@ def read_files(archive: Archive, asked: FilesQuestion, _request: Request) -> Row
     proposed = proposed_labels(store, files, asked.corrects, asked.stage)
     rows, known = new_rows(store, proposed.rows)
     standing = {row["id"]: row for row in store.labels().to_pylist()}
+
+    def difference(row: Row) -> Row:
+        """Return a row that would be recorded, with the label that it would replace."""
+        before = standing.get(row["replaces"] or "")
+        was = before and {key: before[key] for key in ("class", "start", "stop", "verdict")}
+        keys = ("take", "class", "start", "stop", "verdict", "origin", "source")
+        return {key: row[key] for key in keys} | {"before": was}
+
     return {
         "checksum": checksum,
         "files": [file.path for file in files],
@@ -71,7 +79,7 @@ def read_files(archive: Archive, asked: FilesQuestion, _request: Request) -> Row
         "counts": counts_of(rows),
         "remarks": list(proposed.remarks),
         "total": len(rows),
-        "rows": [_difference(row, standing) for row in rows[:MOST_ROWS]],
+        "rows": [difference(row) for row in rows[:MOST_ROWS]],
         "command": _command(archive, asked, None),
     }
 
@@ -106,15 +114,6 @@ def _files(asked: FilesQuestion) -> tuple[list[LabelFile], str]:
     files = label_files(paths)
     text = repr([(file.path, file.takes, file.segments, file.covered) for file in files])
     return files, hashlib.sha256(text.encode("utf-8", "surrogateescape")).hexdigest()
-
-
-def _difference(row: Row, standing: dict[str, Row]) -> Row:
-    """Return a row that would be recorded, with the label that it would replace."""
-    keys = ("take", "class", "start", "stop", "verdict", "origin", "source")
-    before = standing.get(row["replaces"] or "")
-    return {key: row[key] for key in keys} | {
-        "before": before and {key: before[key] for key in ("class", "start", "stop", "verdict")}
-    }
 
 
 def _command(archive: Archive, asked: FilesQuestion, annotator: str | None) -> str:

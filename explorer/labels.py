@@ -37,6 +37,7 @@ from kinedex.ops.errors import KinedexError, did_you_mean
 from kinedex.pipelines.annotation.tables import annotate_stage
 from kinedex.pipelines.labels.edits import LabelEdits, label_edits, record_edits
 from kinedex.pipelines.labels.selection import Selection, selected
+from kinedex.storage.duck import quote
 from kinedex.storage.sql.result_scans import shown_labels
 
 if TYPE_CHECKING:
@@ -149,7 +150,9 @@ class Decide(Question):
         """Add this change to the edits; annotations that no longer exist are taken from the page's request."""
         row: Row = {"take": take, "class": self.label, "subclass": self.subclass or ""}
         row |= {"start": self.start, "stop": self.stop, "confidence": None}
-        found = next((one for one in _annotations_of(store, self.stage, take) if _is_same(one, row)), row)
+        keys = ("class", "subclass", "start", "stop")
+        known = _annotations_of(store, self.stage, take)
+        found = next((one for one in known if all((one[key] or "") == (row[key] or "") for key in keys)), row)
         edits.decide(self.id, found, self.stage, self.seen, accept=self.do == "accept")
 
 
@@ -181,7 +184,8 @@ def decide(archive: Archive, asked: Decisions, _request: Request) -> Row:
     """Record edits of a take's labels, and return the recorded rows, which are on disk before the answer is sent."""
     with _DECIDING:
         store = archive.store()
-        _require_take(store, asked.take)
+        if asked.take not in store.take_ids:
+            raise KinedexError(f"no take is named '{asked.take}'{did_you_mean(asked.take, store.take_ids)}")
         edits = label_edits(store, asked.take, (asked.annotator or "").strip() or None)
         for change in asked.changes:
             change.apply(edits, asked.take, store)
@@ -196,11 +200,6 @@ def decide(archive: Archive, asked: Decisions, _request: Request) -> Row:
     }
 
 
-def _require_take(store: Store, name: str) -> None:
-    if name not in store.take_ids:
-        raise KinedexError(f"no take is named '{name}'{did_you_mean(name, store.take_ids)}")
-
-
 def _annotations_of(store: Store, stage: str, take: str) -> list[Row]:
     record = store.manifest.stages.get(stage)
     if record is None:
@@ -208,10 +207,6 @@ def _annotations_of(store: Store, stage: str, take: str) -> list[Row]:
     rows = store.result("annotations", run=record.run)
     found: list[Row] = rows.filter(pc.equal(rows.column("take"), take)).to_pylist()
     return found
-
-
-def _is_same(one: Row, other: Row) -> bool:
-    return all((one[key] or "") == (other[key] or "") for key in ("class", "subclass", "start", "stop"))
 
 
 def _shown(row: Row) -> Row:
@@ -245,12 +240,8 @@ def take_labels(archive: Archive, request: Request) -> Row:
         "stage": stage,
         "annotations": annotations,
         "command": command_line("kinedex", "labels", "list", archive.path, "--take", name),
-        "python": python_lines(archive.path, f"store.labels.table({f'take = {_quoted(name)}'!r}, history=True)"),
+        "python": python_lines(archive.path, f"store.labels.table({f'take = {quote(name)}'!r}, history=True)"),
     }
-
-
-def _quoted(text: str) -> str:
-    return "'" + text.replace("'", "''") + "'"
 
 
 def stage_of(store: Store, asked: str | None) -> str | None:
@@ -425,8 +416,7 @@ def _decide(command: Any, row: Row, by_person: str) -> tuple[str, str]:
     """Return the command and the Python line that accept or reject an annotation."""
     name = "accept" if row["verdict"] == "positive" else "reject"
     edges = f"start = {row['start']} AND stop = {row['stop']}"
-    take = row["take"].replace("'", "''")
-    label = row["class"].replace("'", "''")
-    where = f"SELECT * FROM annotations WHERE take = '{take}' AND {edges} AND '{label}' IN (class, subclass)"
+    take, label = quote(row["take"]), quote(row["class"])
+    where = f"SELECT * FROM annotations WHERE take = {take} AND {edges} AND {label} IN (class, subclass)"
     words = ("--take", row["take"], "--class", row["class"], "--where", edges, "--stage", row["source"])
     return command(name, *words), f"store.labels.{name}(store.sql({where!r}, polars=True){by_person})"

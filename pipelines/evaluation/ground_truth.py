@@ -6,7 +6,7 @@ from collections import Counter, defaultdict
 from collections.abc import Container, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 
 import polars as pl
 import pyarrow as pa
@@ -14,11 +14,10 @@ from pydantic import BaseModel, ConfigDict, Field
 
 from kinedex.catalog.classes import Classes
 from kinedex.ops.errors import KinedexError, did_you_mean
-from kinedex.ops.intervals import analysis_frame
 from kinedex.ops.wording import few
 from kinedex.pipelines.engine.digests import files_digest
 from kinedex.pipelines.engine.file_parameters import NamesFile
-from kinedex.pipelines.labels.segments import on_takes
+from kinedex.pipelines.labels.segments import edges_in, on_takes
 from kinedex.pipelines.labels.unmatched_labels import UnmatchedLabels, unmatched_labels
 from kinedex.storage.formats.labels.formats import any_ground_truth, ground_truth_files, read_labels
 from kinedex.storage.formats.labels.segments import LabelFile, ManualSegment
@@ -43,6 +42,11 @@ class Manual:
     source_start: int
     source_stop: int
     origin: str
+
+    @property
+    def statement(self) -> Statement:
+        """Take, class and source frames; segments that agree in them count once."""
+        return self.take, self.label, self.source_start, self.source_stop
 
 
 @dataclass(frozen=True)
@@ -130,12 +134,12 @@ def place_ground_truth(
         for segment in here
         if (manual := _placed(segment, by_name[segment.take], labels[segment.label])) is not None
     ]
-    every = [manual for manual, _ in known]
-    once = [pair for pair, first in zip(known, _firsts(every), strict=True) if pair[0] is first]
+    firsts: dict[Statement, Manual] = {}
+    once = [(manual, where) for manual, where in known if firsts.setdefault(manual.statement, manual) is manual]
     placed = [manual for manual, _ in once if manual.start < manual.stop]
     between = [where for manual, where in once if manual.start >= manual.stop]
     remarks += [f"{where}: no analysis frame lies in this segment, excluded" for where in between]
-    remarks += _of_several_files(files, every, evaluated)
+    remarks += _of_several_files(files, [manual for manual, _ in known], firsts, evaluated)
     bare = sorted(evaluated - {segment.take for segment in placed} - set(empty))
     if bare:
         remarks.append(f"takes in which nothing is left to be found, evaluated as such: {few(bare)}")
@@ -150,19 +154,17 @@ def _of_no_class(labels: Mapping[str, str | None], classes: Classes) -> list[str
     return [f"labels of no class, {how}: {few(names)}" for how, names in treated if names]
 
 
-def _firsts(segments: Sequence[Manual]) -> list[Manual]:
-    """Return for each segment the first one that equals it."""
-    known: dict[Statement, Manual] = {}
-    return [known.setdefault(_statement(one), one) for one in segments]
+def _of_several_files(
+    files: Sequence[LabelFile],
+    segments: Sequence[Manual],
+    firsts: Mapping[Statement, Manual],
+    evaluated: Container[str],
+) -> list[str]:
+    """Return remarks on repeated segments, and on takes that several files label differently.
 
-
-def _statement(one: Manual) -> Statement:
-    return one.take, one.label, one.source_start, one.source_stop
-
-
-def _of_several_files(files: Sequence[LabelFile], segments: Sequence[Manual], evaluated: Container[str]) -> list[str]:
-    """Return remarks on repeated segments, and on takes that several files label differently."""
-    pairs = zip(_firsts(segments), segments, strict=True)
+    `firsts` has the first of the segments that state the same.
+    """
+    pairs = ((firsts[one.statement], one) for one in segments)
     again = Counter((first.origin, one.origin) for first, one in pairs if first is not one)
     remarks = []
     if again:
@@ -173,7 +175,7 @@ def _of_several_files(files: Sequence[LabelFile], segments: Sequence[Manual], ev
         for take in file.takes:
             by_take[take][file.path] = set()
     for one in segments:
-        by_take[one.take][one.origin].add(_statement(one))
+        by_take[one.take][one.origin].add(one.statement)
     unlike = [
         f"{take} ({', '.join(of_file)})"
         for take, of_file in sorted(by_take.items())
@@ -228,42 +230,17 @@ def _labels(segments: Sequence[ManualSegment], classes: Classes, unknown: Unknow
     return result
 
 
-def _placed(segment: ManualSegment, take: dict[str, object], label: str | None) -> Manual | None:
-    frames, rate_hz = int(str(take["source_frames"])), float(str(take["rate_hz"]))
-    source_rate_hz = float(str(take["source_rate_hz"]))
-    start, stop = segment.source_frames(source_rate_hz)
-    if stop > frames:
-        raise segment.error(f"stop {stop} is beyond the end of {segment.take}, which has {frames} source frames")
+def _placed(segment: ManualSegment, take: Mapping[str, Any], label: str | None) -> Manual | None:
+    (first, start), (last, stop) = edges_in(segment, take)
     if label is None:
         return None
-    return Manual(
-        int(str(take["take_id"])),
-        segment.take,
-        label,
-        analysis_frame(start, source_rate_hz, rate_hz),
-        analysis_frame(stop, source_rate_hz, rate_hz),
-        start,
-        stop,
-        segment.path,
-    )
+    return Manual(take["take_id"], segment.take, label, start, stop, first, last, segment.path)
 
 
 def ground_truth_rows(truth: GroundTruth, run: str) -> pa.Table:
     """Return ground truth as results of the kind `ground_truth`, sorted by take and start."""
-    rows = [
-        {
-            "run": run,
-            "take_id": one.take_id,
-            "take": one.take,
-            "class": one.label,
-            "start": one.start,
-            "stop": one.stop,
-            "source_start": one.source_start,
-            "source_stop": one.source_stop,
-            "origin": one.origin,
-        }
-        for one in sorted(truth.segments, key=lambda one: (one.take, one.start, one.stop, one.label))
-    ]
+    ordered = sorted(truth.segments, key=lambda one: (one.take, one.start, one.stop, one.label))
+    rows = [{**vars(one), "run": run, "class": one.label} for one in ordered]
     return pa.Table.from_pylist(rows, schema=result_schema("ground_truth"))
 
 

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from operator import attrgetter
 
 import numpy as np
 import numpy.typing as npt
@@ -134,7 +135,6 @@ def judge(outcome: Outcome, test_takes: Sequence[TestTake], classes: Sequence[st
     by_take = {test_take.name: pooled(counts[test_take.name, label] for label in labels) for test_take in test_takes}
     groups = sorted({test_take.group for test_take in test_takes})
     every = list(by_take.values())
-    measures: dict[str, Callable[[Counts], float]] = {name: _measure(name) for name in MEASURES}
     class_precision = {label: _precision(outcome, test_takes, label) for label in labels}
     one_piece = joined(outcome, test_takes)
     joined_class_precision = [_precision(*one_piece, label) for label in labels]
@@ -146,7 +146,7 @@ def judge(outcome: Outcome, test_takes: Sequence[TestTake], classes: Sequence[st
             for group in groups
         },
         by_take,
-        {name: bootstrap(measure, every, draws=draws) for name, measure in measures.items()},
+        {name: bootstrap(attrgetter(name), every, draws=draws) for name in MEASURES},
         {threshold: _mean([class_precision[label][threshold] for label in labels]) for threshold in THRESHOLDS},
         class_precision,
         confusion(outcome, test_takes, labels),
@@ -187,10 +187,6 @@ def _joined(segments: Sequence[TakeSegment]) -> list[TakeSegment]:
     return sorted(found, key=lambda one: (one.start, one.stop))
 
 
-def _measure(name: str) -> Callable[[Counts], float]:
-    return lambda counts: float(getattr(counts, name))
-
-
 def _mean(values: Sequence[float]) -> float:
     known = [value for value in values if not math.isnan(value)]
     return sum(known) / len(known) if known else math.nan
@@ -226,7 +222,7 @@ def segment_outcomes(outcomes: Mapping[str, Outcome], test_takes: Sequence[TestT
         for true in sorted(test_take.truth, key=lambda one: (one.start, one.stop, one.label)):
             label, start, stop = true.label, true.start, true.stop
             there = {
-                method: [one for one in outcome[test_take.name] if _meets(one, start, stop)]
+                method: [one for one in outcome[test_take.name] if one.interval.overlaps(true.interval)]
                 for method, outcome in outcomes.items()
             }
             overlaps = {
@@ -238,10 +234,6 @@ def segment_outcomes(outcomes: Mapping[str, Outcome], test_takes: Sequence[TestT
             labels = {method: _names(own, start, stop) for method, own in there.items()}
             found.append(SegmentOutcome(test_take.name, label, start, stop, overlaps, labels))
     return found
-
-
-def _meets(one: TakeSegment, start: int, stop: int) -> bool:
-    return one.start < stop and start < one.stop
 
 
 def _names(found: Sequence[TakeSegment], start: int, stop: int) -> tuple[str, ...]:

@@ -86,7 +86,7 @@ def placed_files(store: Store, files: Sequence[LabelFile]) -> PlacedFiles:
         The store has none of the takes.
     """
     columns = ("name", "source_frames", "source_rate_hz", "rate_hz", "frames")
-    rows = {str(row[0]): row[1:] for row in store.takes().select(columns).iter_rows()}
+    rows = {str(row["name"]): row for row in store.takes().select(columns).iter_rows(named=True)}
     files, remarks = on_takes(store, files)
     named = dict.fromkeys(take for file in files for take in file.takes)
     absent = sorted(set(named) - set(rows))
@@ -99,23 +99,35 @@ def placed_files(store: Store, files: Sequence[LabelFile]) -> PlacedFiles:
     remarks += map(str, unmatched)
     found: dict[tuple[object, ...], ManualSegment] = {}
     for one in (segment for file in files for segment in file.segments if segment.take in rows):
-        frames, source_rate_hz, rate_hz, _ = rows[one.take]
-        first, last = one.source_frames(source_rate_hz)
-        if last > frames:
-            raise one.error(f"stop {last} is beyond the end of {one.take}, which has {frames} source frames")
-        start, stop = (analysis_frame(edge, source_rate_hz, rate_hz) for edge in (first, last))
+        (_, start), (_, stop) = edges_in(one, rows[one.take])
         if start >= stop:
             remarks.append(f"{one.where}: no analysis frame lies in this segment, excluded")
             continue
         placed = replace(one, start=start, stop=stop, in_seconds=False)
         found.setdefault((one.take, one.label, start, stop, one.limb, one.annotator), placed)
     covered = [
-        ManualSegment(take, ERROR, 0, rows[take][3], path, limb=limb, annotator=annotator)
+        ManualSegment(take, ERROR, 0, rows[take]["frames"], path, limb=limb, annotator=annotator)
         for path, take, limb, annotator in _covered(files)
-        if take in rows and rows[take][3]
+        if take in rows and rows[take]["frames"]
     ]
     takes = tuple(take for take in named if take in rows)
     return PlacedFiles(takes, tuple(found.values()), tuple(covered), tuple(remarks), unmatched)
+
+
+def edges_in(one: ManualSegment, take: Mapping[str, Any]) -> tuple[tuple[int, int], tuple[int, int]]:
+    """Return start and stop of a segment, each in source frames and in analysis frames of its take.
+
+    Raises
+    ------
+    SourceError
+        The segment ends beyond its take.
+    """
+    first, last = one.source_frames(take["source_rate_hz"])
+    if last > take["source_frames"]:
+        frames = take["source_frames"]
+        raise one.error(f"stop {last} is beyond the end of {one.take}, which has {frames} source frames")
+    start, stop = (analysis_frame(edge, take["source_rate_hz"], take["rate_hz"]) for edge in (first, last))
+    return (first, start), (last, stop)
 
 
 def _covered(files: Iterable[LabelFile]) -> Iterator[tuple[str, str, str, str]]:
