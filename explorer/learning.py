@@ -2,7 +2,7 @@
 
 `GET /api/learn` answers with `learning_facts`, `POST /api/learn {examples?, method?, where?}` starts a job,
 `GET /api/learn/changes` lists what the last one changed, and `POST /api/learn/undo` starts a job that brings the
-annotations before it back. Once the page has asked for the facts, a process is kept ready (`spare_process`).
+annotations before it back. Once the page has asked for the facts, a process is kept ready (`jobs.SpareProcess`).
 
 What is learned belongs to a pipeline of its own, `learn-again`, with the settings of the current annotation and the
 labels of people as further examples. So the results that were there stay beside it, and an earlier result of its own

@@ -10,7 +10,7 @@ import numpy.typing as npt
 
 from kinedex.catalog.features import FeatureSet
 from kinedex.catalog.queries.keyframe_query import SAME_FRAME
-from kinedex.ops.evaluation.confidence_intervals import wilson
+from kinedex.ops.evaluation.reliability import wilson
 from kinedex.ops.intervals import in_seconds
 from kinedex.ops.keyframes.training_task import HISTORY_COLUMNS, Individual, LearningRun
 from kinedex.ops.words import bits

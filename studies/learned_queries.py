@@ -18,8 +18,8 @@ from pathlib import Path
 import numpy as np
 
 from kinedex.catalog.classes import load_classes
-from kinedex.ops.evaluation.confidence_intervals import wilson
 from kinedex.ops.evaluation.metrics import Counts, pooled
+from kinedex.ops.evaluation.reliability import wilson
 from kinedex.pipelines.engine.config import load_pipeline
 from kinedex.pipelines.engine.executors import Executor, make_executor
 from kinedex.pipelines.keyframes.learning import Outcome, TrainingSet, training_sets

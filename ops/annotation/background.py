@@ -13,12 +13,10 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-import numpy.typing as npt
 
+from kinedex.ops.arrays import F64, I64
 from kinedex.ops.errors import ParameterError
 from kinedex.ops.words import NO_WORD, U64, bits
-
-F64 = npt.NDArray[np.float64]
 
 SPLITS = 2
 """The number of times that every posture is divided: 2 gives four postures. Chosen on clips of excluded actors
@@ -101,7 +99,7 @@ def _scores(on: F64, postures: F64) -> F64:
     return result
 
 
-def _belongings(on: F64, counts: npt.NDArray[np.int64], postures: F64) -> F64:
+def _belongings(on: F64, counts: I64, postures: F64) -> F64:
     """Return how many frames of each word belong to each posture, (V, K), by the posterior of the mixture."""
     scores = _scores(on, np.clip(postures, _LEAST, 1.0 - _LEAST))
     shares = np.exp(scores - scores.max(axis=1, keepdims=True))
@@ -109,7 +107,7 @@ def _belongings(on: F64, counts: npt.NDArray[np.int64], postures: F64) -> F64:
     return result
 
 
-def _split(on: F64, counts: npt.NDArray[np.int64], postures: F64) -> F64:
+def _split(on: F64, counts: I64, postures: F64) -> F64:
     """Divide every posture into two, one standard deviation to either side along the first principal component."""
     halves = []
     for belongs in _belongings(on, counts, postures).T:

@@ -13,13 +13,9 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 
+from kinedex.ops.arrays import F64, I64, Bool
 from kinedex.ops.errors import ParameterError
-
-F64 = npt.NDArray[np.float64]
-I64 = npt.NDArray[np.int64]
-Bool = npt.NDArray[np.bool_]
 
 OFFSET_SPREAD, SLOPE_SPREAD, CLASS_SPREAD = 1.5, 0.5, 0.5
 """Standard deviations of the normal prior in log odds: of the common offset, of slopes (per normalised unit), and of

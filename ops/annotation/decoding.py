@@ -13,12 +13,10 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 
 from kinedex.ops.annotation.background import log_likelihoods
 from kinedex.ops.annotation.decoding_kernels import (
     MAX_STEP,
-    Bool,
     Columns,
     Costs,
     Frames,
@@ -27,12 +25,10 @@ from kinedex.ops.annotation.decoding_kernels import (
     rival_values,
     summed_anew,
 )
+from kinedex.ops.arrays import F64, I64, Bool
 from kinedex.ops.errors import ParameterError
 from kinedex.ops.templates.templates import Template
 from kinedex.ops.words import U64
-
-F64 = npt.NDArray[np.float64]
-I64 = npt.NDArray[np.int64]
 
 BLOCK_FRAMES = 32
 """The block length in frames: a template's promising ranges are widened to multiples of it."""

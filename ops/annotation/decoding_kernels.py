@@ -11,14 +11,10 @@ from typing import NamedTuple
 
 import numba as nb
 import numpy as np
-import numpy.typing as npt
 
+from kinedex.ops.arrays import F64, I64, Bool
 from kinedex.ops.bits import lowest_bit
 from kinedex.ops.words import NO_WORD, U64
-
-F64 = npt.NDArray[np.float64]
-I64 = npt.NDArray[np.int64]
-Bool = npt.NDArray[np.bool_]
 
 MAX_STEP = 3
 """The longest step of a path, in columns and in frames."""

@@ -8,13 +8,10 @@ from functools import cached_property
 
 import numba as nb
 import numpy as np
-import numpy.typing as npt
 
 from kinedex.ops.annotation.decoding import STANDING_OUT
 from kinedex.ops.annotation.segments import Segment
-
-F64 = npt.NDArray[np.float64]
-I64 = npt.NDArray[np.int64]
+from kinedex.ops.arrays import F64, I64
 
 _NO_COST = 0.3  # stands for the cost of a segment in which no path ends
 # segments with a distance of 1 / 5 or more have no support, whatever share of entries their template fixes

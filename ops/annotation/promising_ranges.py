@@ -17,16 +17,12 @@ from itertools import pairwise
 
 import numba as nb
 import numpy as np
-import numpy.typing as npt
 
 from kinedex.ops.annotation.decoding import Decoding, frames_of, lay_columns
 from kinedex.ops.annotation.decoding_kernels import MAX_STEP, Columns, Costs, Frames, change_ratios, step, sum_ratios
+from kinedex.ops.arrays import F32, F64, I64
 from kinedex.ops.templates.templates import Template
 from kinedex.ops.words import NO_WORD, U64
-
-F32 = npt.NDArray[np.float32]
-F64 = npt.NDArray[np.float64]
-I64 = npt.NDArray[np.int64]
 
 _GROUP_COLUMNS, _GROUP_TEMPLATES = 1024, 128
 """Maximum number of columns and templates that are compared with a take together, so that the working set stays in the

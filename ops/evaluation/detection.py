@@ -6,13 +6,11 @@ import math
 from collections.abc import Callable, Sequence
 
 import numpy as np
-import numpy.typing as npt
 
+from kinedex.ops.arrays import I64
 from kinedex.ops.errors import ParameterError
 from kinedex.ops.evaluation.metrics import Counts
 from kinedex.ops.intervals import TakeSegment
-
-F64 = npt.NDArray[np.float64]
 
 THRESHOLDS = (0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7)
 """The usual thresholds of intersection over union."""
@@ -83,7 +81,7 @@ def _confidence(one: TakeSegment) -> float:
     return 0.0 if one.confidence is None else one.confidence
 
 
-def boundary_errors(found: Sequence[TakeSegment], known: Sequence[TakeSegment]) -> npt.NDArray[np.int64]:
+def boundary_errors(found: Sequence[TakeSegment], known: Sequence[TakeSegment]) -> I64:
     """Return the differences in frames between automatic and manual boundaries.
 
     Every manual segment is compared with the automatic one of its take that overlaps it most, if there is one.

@@ -1,4 +1,4 @@
-"""This module computes precision, recall and F-measure of annotations by frames and segments (thesis, Section 5.4)."""
+"""This module computes precision, recall and F-measure of annotations (thesis, Section 5.4), and of rankings."""
 
 from __future__ import annotations
 
@@ -7,11 +7,11 @@ from collections.abc import Iterable, Sequence
 from dataclasses import astuple, dataclass
 
 import numpy as np
-import numpy.typing as npt
 
+from kinedex.ops.arrays import F64, I64, Bool
 from kinedex.ops.errors import ParameterError
 
-Bounds = Sequence[tuple[int, int]] | npt.NDArray[np.int64]
+Bounds = Sequence[tuple[int, int]] | I64
 
 
 @dataclass(frozen=True)
@@ -124,24 +124,59 @@ def compare(automatic: Bounds, manual: Bounds) -> Counts:
     )
 
 
-def _segments(name: str, bounds: Bounds) -> npt.NDArray[np.int64]:
+def _segments(name: str, bounds: Bounds) -> I64:
     segments = np.asarray(bounds, np.int64).reshape(-1, 2)
     if np.any(segments[:, 0] < 0) or np.any(segments[:, 0] >= segments[:, 1]):
         raise ParameterError(name, "segments with 0 ≤ start < stop", segments.tolist()[:4])
     return segments
 
 
-def _covered(segments: npt.NDArray[np.int64], stop: int) -> npt.NDArray[np.bool_]:
+def _covered(segments: I64, stop: int) -> Bool:
     covered = np.zeros(stop, np.bool_)
     for start, end in segments:
         covered[start:end] = True
     return covered
 
 
-def _hit(segments: npt.NDArray[np.int64], covered: npt.NDArray[np.bool_]) -> int:
+def _hit(segments: I64, covered: Bool) -> int:
     """Return the number of segments that contain at least one covered frame."""
     return sum(bool(covered[start:end].any()) for start, end in segments)
 
 
 def _ratio(part: int, whole: int) -> float:
     return part / whole if whole else math.nan
+
+
+def precision_recall(relevant: Sequence[bool], total: int) -> tuple[F64, F64]:
+    """Return precision and recall after each rank (thesis, Figure 3.13).
+
+    Parameters
+    ----------
+    relevant : sequence of bool
+        True where the entry at a rank, the best first, should be found; each entry occurs once.
+    total : int
+        The number of entries that should be found, those that the ranking misses included.
+
+    Returns
+    -------
+    precision, recall : float64 array (R,)
+        The values after each of the R ranks.
+
+    Raises
+    ------
+    ParameterError
+        If there are more relevant ranks than entries that should be found.
+    """
+    hits = np.cumsum(np.asarray(relevant, np.int64))
+    if len(hits) and hits[-1] > total:
+        raise ParameterError("total", f"at least {int(hits[-1])}, the relevant ranks", total)
+    return hits / np.arange(1, len(hits) + 1), hits / total if total else np.full(len(hits), math.nan)
+
+
+def average_precision(relevant: Sequence[bool], total: int) -> float:
+    """Return the mean of the precision at every relevant rank, counting 0 for each entry that is not found.
+
+    It is NaN where nothing should be found. Parameters and errors are those of `precision_recall`.
+    """
+    precision, _ = precision_recall(relevant, total)
+    return float(precision[np.asarray(relevant, np.bool_)].sum() / total) if total else math.nan

@@ -5,13 +5,10 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-import numpy.typing as npt
 
+from kinedex.ops.arrays import F64, I64
 from kinedex.ops.errors import ParameterError
 from kinedex.ops.evaluation.metrics import Bounds, Counts
-
-F64 = npt.NDArray[np.float64]
-I64 = npt.NDArray[np.int64]
 
 
 def threshold_counts(values: F64, manual: Bounds, thresholds: Sequence[float]) -> list[Counts]:

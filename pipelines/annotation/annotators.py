@@ -7,12 +7,12 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
-import numpy.typing as npt
 
 from kinedex.catalog.classes import Classes
 from kinedex.catalog.features import FeatureSet
 from kinedex.catalog.queries.keyframe_query import KeyframeQuery
 from kinedex.ops.annotation.confidence import Confidence
+from kinedex.ops.arrays import I64
 from kinedex.ops.errors import KinedexError, did_you_mean
 from kinedex.ops.templates.derived_templates import restricted_template
 from kinedex.ops.templates.templates import QuantisedTemplate, quantise
@@ -22,8 +22,6 @@ from kinedex.pipelines.annotation.methods import AnnotationMethod, ClassTemplate
 from kinedex.pipelines.search.not_applied import Applicability, applicability, remarks_on
 from kinedex.pipelines.search.preselection import known_queries, widest_margins
 from kinedex.pipelines.templates.learning import SubclassTemplate
-
-I64 = npt.NDArray[np.int64]
 
 VAGUE = 1.0
 """Fixed entries per column, on average, below which a template hardly distinguishes motions.

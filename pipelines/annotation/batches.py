@@ -7,12 +7,12 @@ from dataclasses import dataclass, field, replace
 from itertools import islice
 
 import numpy as np
-import numpy.typing as npt
 import polars as pl
 
 from kinedex.ops.annotation.confidence import Confidence
 from kinedex.ops.annotation.evidence import evidence_of
 from kinedex.ops.annotation.segments import Segment
+from kinedex.ops.arrays import F32, F64, I64, Bool
 from kinedex.ops.distances.dtw import distance_curves
 from kinedex.ops.words import TakeWords
 from kinedex.pipelines.annotation.annotators import Annotator
@@ -21,10 +21,6 @@ from kinedex.pipelines.annotation.single_examples import PromisingRanges, Single
 from kinedex.pipelines.engine.executors import Executor, batches_of
 from kinedex.pipelines.search.preselection import preselect, preselect_stored, ranges_around
 from kinedex.storage.store.store import Store
-
-F32 = npt.NDArray[np.float32]
-F64 = npt.NDArray[np.float64]
-I64 = npt.NDArray[np.int64]
 
 BATCH_FRAMES = 50_000
 """The approximate number of analysis frames of a batch (28 minutes), whose curves take 400 kB per subclass."""
@@ -56,7 +52,7 @@ class TakeAnnotation:
     segments: tuple[Segment, ...]
     preselected: F64
     curves: F32 | None
-    applied: npt.NDArray[np.bool_] | None = None
+    applied: Bool | None = None
     confidences: tuple[float, ...] | None = None
     promising: PromisingRanges | None = None
 

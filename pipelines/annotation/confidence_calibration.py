@@ -13,11 +13,11 @@ from dataclasses import dataclass, replace
 from itertools import groupby, pairwise
 
 import numpy as np
-import numpy.typing as npt
 
 from kinedex.catalog.classes import Classes
 from kinedex.ops.annotation.confidence import PRIORS, UNKNOWN, Confidence, learn_confidence
 from kinedex.ops.annotation.evidence import evidence_of
+from kinedex.ops.arrays import F64, I64, Bool
 from kinedex.ops.wording import counted
 from kinedex.ops.words import ALL_KNOWN, U64, TakeWords
 from kinedex.pipelines.annotation.annotators import Annotator
@@ -25,10 +25,6 @@ from kinedex.pipelines.annotation.batches import annotate_words
 from kinedex.pipelines.engine.executors import Executor
 from kinedex.pipelines.templates.examples import Rejected
 from kinedex.pipelines.templates.learning import TrainingClips
-
-F64 = npt.NDArray[np.float64]
-I64 = npt.NDArray[np.int64]
-Bool = npt.NDArray[np.bool_]
 
 FOLDS = 5
 """The largest number of folds."""

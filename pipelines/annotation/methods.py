@@ -14,7 +14,6 @@ from itertools import pairwise
 from typing import ClassVar, Protocol, Self
 
 import numpy as np
-import numpy.typing as npt
 
 from kinedex.catalog.plugins import Plugins
 from kinedex.ops.annotation.background import background
@@ -22,15 +21,13 @@ from kinedex.ops.annotation.decoding import Decoding, explain, frames_of, lay_co
 from kinedex.ops.annotation.promising_ranges import lay_groups, loose_ranges
 from kinedex.ops.annotation.segment_costs import least_costs
 from kinedex.ops.annotation.segments import Matches, Segment, annotate
+from kinedex.ops.arrays import F64, I64
 from kinedex.ops.distances.costs import encode
 from kinedex.ops.distances.pruning import CoarseBound, coarse_bounds
 from kinedex.ops.distances.range_minima import minima_within
 from kinedex.ops.errors import KinedexError
 from kinedex.ops.templates.templates import QuantisedTemplate, Template
 from kinedex.ops.words import MOST_FEATURES, U64, TakeWords, compacted, known_bits
-
-F64 = npt.NDArray[np.float64]
-I64 = npt.NDArray[np.int64]
 
 NARROW = 4
 """Bounds are used for templates matched in more than one of this number of frames; for others they cost more time."""

@@ -17,13 +17,13 @@ from itertools import pairwise
 from typing import ClassVar
 
 import numpy as np
-import numpy.typing as npt
 import pyarrow as pa
 
 from kinedex.ops.annotation.background import background
 from kinedex.ops.annotation.decoding import Decoding
 from kinedex.ops.annotation.promising_ranges import Group, lay_groups, promising_ranges
 from kinedex.ops.annotation.segments import Segment
+from kinedex.ops.arrays import F64, I64, Bool
 from kinedex.ops.errors import KinedexError, StoreError
 from kinedex.ops.templates.derived_templates import restricted_template
 from kinedex.ops.templates.templates import QuantisedTemplate, Template, quantise
@@ -34,9 +34,6 @@ from kinedex.pipelines.templates.examples import Rejected
 from kinedex.pipelines.templates.learning import TrainingClips, learned_of
 from kinedex.storage.snapshot.schemas import result_schema
 from kinedex.storage.store.store import Store
-
-I64 = npt.NDArray[np.int64]
-Bool = npt.NDArray[np.bool_]
 
 KIND = "example_ranges"
 """The kind of results that holds the ranges."""
@@ -135,9 +132,6 @@ def earlier_ranges(store: Store, stage: str) -> dict[int, PromisingRanges]:
         found |= {take: PromisingRanges(*row) for take, *row in zip(takes, prints, *lists, strict=True)}
     return found
 
-
-F64 = npt.NDArray[np.float64]
-I64 = npt.NDArray[np.int64]
 
 NOTHING = -1
 """The index that marks a template of a rejected interval, which assigns no label."""

@@ -7,10 +7,10 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 
 from kinedex.catalog.classes import Classes
 from kinedex.ops.annotation.calibration import best_threshold
+from kinedex.ops.arrays import F64
 from kinedex.ops.distances.dtw import distance_curves
 from kinedex.ops.errors import KinedexError
 from kinedex.ops.templates.derived_templates import restricted_template
@@ -20,8 +20,6 @@ from kinedex.pipelines.annotation.batches import split_takes
 from kinedex.pipelines.engine.executors import Executor
 from kinedex.pipelines.templates.examples import Rejected
 from kinedex.pipelines.templates.learning import SubclassTemplate, TrainingClips
-
-F64 = npt.NDArray[np.float64]
 
 HIGHEST = 1.0
 """The largest threshold, a distance that no warping path exceeds."""

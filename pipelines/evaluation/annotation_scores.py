@@ -88,8 +88,12 @@ def evaluate(name: str, annotations: pa.Table, truth: GroundTruth, classes: Sequ
 
 def measures(counts: Counts) -> dict[str, float | None]:
     """Return the six measures by name; a measure that is undefined is None."""
-    values = {name: float(getattr(counts, name)) for name in MEASURES}
-    return {name: None if math.isnan(value) else value for name, value in values.items()}
+    return {name: defined(float(getattr(counts, name))) for name in MEASURES}
+
+
+def defined(value: float) -> float | None:
+    """Return a measure for JSON and tables; None for NaN, where it is undefined."""
+    return None if math.isnan(value) else value
 
 
 def scores(counts: Counts) -> dict[str, float | int | None]:

@@ -6,12 +6,10 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 
+from kinedex.ops.arrays import F64, Bool
 from kinedex.ops.intervals import TakeSegment
 from kinedex.pipelines.evaluation.folds import TestTake
-
-Bool = npt.NDArray[np.bool_]
 
 NOTHING = "no label"
 """The name of the row of frames without a manual label, and of the column of frames without an automatic label."""
@@ -41,7 +39,7 @@ class Confusion:
     """
 
     classes: tuple[str, ...]
-    frames: npt.NDArray[np.float64]
+    frames: F64
 
     @property
     def rows(self) -> tuple[str, ...]:
@@ -87,7 +85,7 @@ def confusion(
     return Confusion(tuple(classes), frames)
 
 
-def _of_take(true: Bool, mine: Bool) -> npt.NDArray[np.float64]:
+def _of_take(true: Bool, mine: Bool) -> F64:
     """Return the confusion matrix of a take, float64 (C + 2, C + 2), from manual and automatic labels, bool (C, L)."""
     size = len(true)
     frames = np.zeros((size + 2, size + 2))

@@ -4,14 +4,15 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
+from operator import attrgetter
 
 from kinedex.ops.evaluation.detection import bootstrap
 from kinedex.ops.evaluation.metrics import Counts, pooled
 from kinedex.ops.wording import digits, few
 from kinedex.pipelines.engine.display import Line, ResultTable, Tone
-from kinedex.pipelines.evaluation.annotation_scores import F_FRAMES, F_SEGMENTS, THESIS_NAMES
+from kinedex.pipelines.evaluation.annotation_scores import F_FRAMES, F_SEGMENTS, THESIS_NAMES, defined
 from kinedex.pipelines.evaluation.markdown import grid, plain
 from kinedex.pipelines.evaluation.written_evaluations import MethodEvaluation
 
@@ -212,14 +213,11 @@ def _other_truth(a: MethodEvaluation, b: MethodEvaluation) -> Unshared:
     """
 
     def differ(ours: Mapping[str, Counts], theirs: Mapping[str, Counts]) -> tuple[str, ...]:
-        return tuple(name for name in ours if name in theirs and _manual(ours[name]) != _manual(theirs[name]))
+        manual = attrgetter("frames_manual", "segments_manual")
+        return tuple(name for name in ours if name in theirs and manual(ours[name]) != manual(theirs[name]))
 
     same_takes = set(a.takes) == set(b.takes)
     return Unshared(differ(a.takes, b.takes), differ(a.classes, b.classes) if same_takes else ())
-
-
-def _manual(counts: Counts) -> tuple[int, int]:
-    return counts.frames_manual, counts.segments_manual
 
 
 def _settings(a: MethodEvaluation, b: MethodEvaluation) -> tuple[tuple[str, object, object], ...]:
@@ -257,9 +255,7 @@ def content(comparisons: Sequence[Comparison]) -> dict[str, object]:
                 "settings": [{"name": name, "a": ours, "b": theirs} for name, ours, theirs in one.settings],
                 "common_takes": one.common,
                 "overall": _row(one.overall),
-                "intervals": {
-                    name: [None if math.isnan(end) else end for end in ends] for name, ends in one.intervals.items()
-                },
+                "intervals": {name: [defined(end) for end in ends] for name, ends in one.intervals.items()},
                 "classes": [_row(change) for change in one.classes],
                 "takes": [_row(change) for change in one.takes],
                 "only_a": list(one.only_a.takes),
@@ -287,11 +283,7 @@ def _changes(a: Mapping[str, Counts], b: Mapping[str, Counts]) -> list[Change]:
 
 
 def _change(name: str, a: Counts, b: Counts) -> Change:
-    return Change(name, (_known(a.f1), _known(b.f1)), (_known(a.f2), _known(b.f2)))
-
-
-def _known(value: float) -> float | None:
-    return None if math.isnan(value) else value
+    return Change(name, (defined(a.f1), defined(b.f1)), (defined(a.f2), defined(b.f2)))
 
 
 def _difference(pair: Pair) -> float | None:
@@ -335,13 +327,18 @@ def comparison_tables(one: Comparison) -> list[ResultTable | Line]:
         Line(f"{one.verdict}.", "main"),
         _table(one.scope, [one.overall], plain=not one.common),
     ]
+    for title, changed in _by_verdict(one):
+        more = f", the first {MOST_SHOWN}" if len(changed) > MOST_SHOWN else ""
+        parts.append(_table(f"{title}{more}", changed[:MOST_SHOWN]))
+    return parts + [Line(text) for text in (*remarks(one), THESIS_NAMES)]
+
+
+def _by_verdict(one: Comparison) -> Iterator[tuple[str, list[Change]]]:
+    """Yield the changes of classes and takes of each verdict with a title, the largest first."""
     for what, changes in (("classes", one.classes), ("takes", one.takes)):
         for verdict in VERDICTS:
-            changed = one.changed(changes, verdict)
-            if changed:
-                more = f", the first {MOST_SHOWN}" if len(changed) > MOST_SHOWN else ""
-                parts.append(_table(f"{verdict}: {len(changed)} of {len(changes)} {what}{more}", changed[:MOST_SHOWN]))
-    return parts + [Line(text) for text in (*remarks(one), THESIS_NAMES)]
+            if changed := one.changed(changes, verdict):
+                yield f"{verdict}: {len(changed)} of {len(changes)} {what}", changed
 
 
 def settings(one: Comparison) -> list[str]:
@@ -387,11 +384,8 @@ def markdown(comparisons: Sequence[Comparison]) -> str:
         lines += [f"## {plain(f'{one.b} against {one.a}')}", "", f"{one.verdict}.", ""]
         lines += [*(f"- {plain(text)}" for text in settings(one)), ""] if one.settings else []
         lines += [f"{one.scope.capitalize()}", "", *grid(["", *HEADER], [[one.overall.name, *values(one.overall)]])]
-        for what, changes in (("classes", one.classes), ("takes", one.takes)):
-            for verdict in VERDICTS:
-                changed = one.changed(changes, verdict)
-                if changed:
-                    lines += [f"### {verdict.capitalize()}: {len(changed)} of {len(changes)} {what}", ""]
-                    lines += grid(["", *HEADER], [[change.name, *values(change)] for change in changed])
+        for title, changed in _by_verdict(one):
+            lines += [f"### {title[:1].upper()}{title[1:]}", ""]
+            lines += grid(["", *HEADER], [[change.name, *values(change)] for change in changed])
         lines += [f"- {plain(text)}" for text in remarks(one)] + [""]
     return "\n".join(lines).rstrip("\n") + "\n"

@@ -19,6 +19,52 @@ from kinedex.pipelines.evaluation.ground_truth import GroundTruth
 from kinedex.pipelines.evaluation.scheme import Split
 from kinedex.pipelines.templates.learning import TrainingClips
 
+WHOLE = "all"
+"""The name of the only fold of a fixed split."""
+
+
+@dataclass(frozen=True)
+class TestTake:
+    """A take that is annotated and evaluated: a take of the store, or several clips of the store concatenated.
+
+    Attributes
+    ----------
+    name : str
+        The name of the take, or of the fold with a number.
+    group : str
+        The value of the column that results are divided by (thesis, Table 5.2).
+    take_ids : tuple of int
+        The takes of the store that it consists of.
+    frames : int
+        The number of its analysis frames.
+    truth : tuple of TakeSegment
+        The segments of its ground truth.
+    """
+
+    name: str
+    group: str
+    take_ids: tuple[int, ...]
+    frames: int
+    truth: tuple[TakeSegment, ...]
+
+    def known(self, masks: Mapping[int, int]) -> int:
+        """Return the mask of the features known in all its takes; `masks` has the masks of takes that lack some
+        features.
+        """
+        return reduce(and_, (masks[take_id] for take_id in self.take_ids if take_id in masks), int(ALL_KNOWN))
+
+
+@dataclass(frozen=True)
+class Fold:
+    """One fold of a split: the clips to learn from, the takes to annotate, and remarks on both."""
+
+    split: str
+    name: str
+    clips: tuple[TrainingClips, ...]
+    test_takes: tuple[TestTake, ...]
+    remarks: tuple[str, ...] = ()
+
+
 PlaceTruth = Callable[[pl.DataFrame], GroundTruth]
 
 
@@ -193,52 +239,6 @@ def _fold(split: Split, name: str, tested: pl.DataFrame, material: Material) -> 
     else:
         test_takes = as_they_are(tested, material.place(tested), material.group)
     return Fold(split.name, name, clips, tuple(test_takes), tuple(remarks))
-
-
-WHOLE = "all"
-"""The name of the only fold of a fixed split."""
-
-
-@dataclass(frozen=True)
-class TestTake:
-    """A take that is annotated and evaluated: a take of the store, or several clips of the store concatenated.
-
-    Attributes
-    ----------
-    name : str
-        The name of the take, or of the fold with a number.
-    group : str
-        The value of the column that results are divided by (thesis, Table 5.2).
-    take_ids : tuple of int
-        The takes of the store that it consists of.
-    frames : int
-        The number of its analysis frames.
-    truth : tuple of TakeSegment
-        The segments of its ground truth.
-    """
-
-    name: str
-    group: str
-    take_ids: tuple[int, ...]
-    frames: int
-    truth: tuple[TakeSegment, ...]
-
-    def known(self, masks: Mapping[int, int]) -> int:
-        """Return the mask of the features known in all its takes; `masks` has the masks of takes that lack some
-        features.
-        """
-        return reduce(and_, (masks[take_id] for take_id in self.take_ids if take_id in masks), int(ALL_KNOWN))
-
-
-@dataclass(frozen=True)
-class Fold:
-    """One fold of a split: the clips to learn from, the takes to annotate, and remarks on both."""
-
-    split: str
-    name: str
-    clips: tuple[TrainingClips, ...]
-    test_takes: tuple[TestTake, ...]
-    remarks: tuple[str, ...] = ()
 
 
 def as_they_are(tested: pl.DataFrame, placed: GroundTruth, column: str) -> list[TestTake]:

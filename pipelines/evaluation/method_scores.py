@@ -8,8 +8,8 @@ from dataclasses import dataclass, replace
 from operator import attrgetter
 
 import numpy as np
-import numpy.typing as npt
 
+from kinedex.ops.arrays import I64
 from kinedex.ops.evaluation.detection import (
     THRESHOLDS,
     average_precision,
@@ -22,8 +22,6 @@ from kinedex.ops.intervals import TakeSegment
 from kinedex.pipelines.evaluation.annotation_scores import MEASURES
 from kinedex.pipelines.evaluation.confusion import Confusion, confusion
 from kinedex.pipelines.evaluation.folds import TestTake
-
-I64 = npt.NDArray[np.int64]
 
 Outcome = Mapping[str, Sequence[TakeSegment]]
 """The segments that a method has found in all folds of a split, by take name."""

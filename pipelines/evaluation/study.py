@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, field
 
@@ -10,7 +9,7 @@ import numpy as np
 
 from kinedex.ops.evaluation.metrics import Counts, pooled
 from kinedex.ops.intervals import TakeSegment, in_seconds
-from kinedex.pipelines.evaluation.annotation_scores import Row, scores
+from kinedex.pipelines.evaluation.annotation_scores import Row, defined, scores
 from kinedex.pipelines.evaluation.folds import WHOLE, Fold, TestTake
 from kinedex.pipelines.evaluation.method_scores import MethodScores, Outcome, SegmentOutcome, chosen_takes
 from kinedex.pipelines.evaluation.scheme import Method, Metric, Split
@@ -202,7 +201,7 @@ def _segment(one: TakeSegment) -> dict[str, object]:
 def _judgement(one: MethodScores, study: Study) -> dict[str, object]:
     result: dict[str, object] = {
         "pooled": scores(one.pooled),
-        "intervals": {name: [_number(low), _number(high)] for name, (low, high) in one.intervals.items()},
+        "intervals": {name: [defined(low), defined(high)] for name, (low, high) in one.intervals.items()},
         "groups": {name: scores(counts) for name, counts in one.by_group.items()},
         "classes": {name: scores(counts) for name, counts in one.by_class.items()},
         "takes": {name: scores(counts) for name, counts in one.by_take.items()},
@@ -213,16 +212,16 @@ def _judgement(one: MethodScores, study: Study) -> dict[str, object]:
         },
     }
     if "overlap" in study.metrics:
-        result["map"] = {f"{threshold:g}": _number(value) for threshold, value in one.precision.items()}
+        result["map"] = {f"{threshold:g}": defined(value) for threshold, value in one.precision.items()}
         result["average_precision"] = {
-            label: {f"{threshold:g}": _number(value) for threshold, value in values.items()}
+            label: {f"{threshold:g}": defined(value) for threshold, value in values.items()}
             for label, values in one.class_precision.items()
         }
     if "boundaries" in study.metrics:
         result["boundaries"] = boundary_summary(one, study.rate_hz)
     if "joined" in study.metrics:
         result["joined"] = {
-            "map": {f"{threshold:g}": _number(value) for threshold, value in one.joined_precision.items()},
+            "map": {f"{threshold:g}": defined(value) for threshold, value in one.joined_precision.items()},
             "boundaries": boundary_summary(one, study.rate_hz, joined=True),
         }
     return result
@@ -238,7 +237,3 @@ def evaluation_rows(judged: MethodScores, folds: Sequence[Fold]) -> tuple[Row, .
         *(Row("class", name, counts) for name, counts in judged.by_class.items()),
         *(Row("take", name, counts) for name, counts in judged.by_take.items()),
     )
-
-
-def _number(value: float) -> float | None:
-    return None if math.isnan(value) else value

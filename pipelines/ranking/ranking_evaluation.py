@@ -18,7 +18,7 @@ from pydantic import BaseModel, ConfigDict
 from kinedex.catalog.classes import OWN, load_classes
 from kinedex.catalog.queries.keyframe_query import SAME_FRAME, Gap, KeyframeQuery
 from kinedex.ops.distances.dtw import distance_curves
-from kinedex.ops.evaluation.ranking_metrics import average_precision, precision_recall
+from kinedex.ops.evaluation.metrics import average_precision, precision_recall
 from kinedex.ops.intervals import Interval
 from kinedex.ops.ranking.hit_selection import KEYS
 from kinedex.ops.search.gaps import UNBOUNDED, nominal_gap
@@ -79,7 +79,7 @@ class Judged:
 
     @property
     def average_precision(self) -> float:
-        """The average precision; see `ops.evaluation.ranking_metrics.average_precision`."""
+        """The average precision; see `ops.evaluation.metrics.average_precision`."""
         return average_precision(self.relevant, self.total)
 
     @property

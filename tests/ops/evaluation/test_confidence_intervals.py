@@ -10,7 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from kinedex.ops.errors import ParameterError
-from kinedex.ops.evaluation.confidence_intervals import wilson
+from kinedex.ops.evaluation.reliability import wilson
 from studies.two_stage_interval import two_stage_interval
 
 

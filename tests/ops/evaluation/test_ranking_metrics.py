@@ -9,7 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from kinedex.ops.errors import ParameterError
-from kinedex.ops.evaluation.ranking_metrics import average_precision, precision_recall
+from kinedex.ops.evaluation.metrics import average_precision, precision_recall
 from tests.oracles import ranking as naive
 
 

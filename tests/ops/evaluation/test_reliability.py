@@ -11,8 +11,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from kinedex.ops.errors import ParameterError
-from kinedex.ops.evaluation.confidence_intervals import wilson
-from kinedex.ops.evaluation.reliability import EDGES, auroc, brier, reliability
+from kinedex.ops.evaluation.reliability import EDGES, auroc, brier, reliability, wilson
 
 judged = st.lists(st.tuples(st.sampled_from([0.0, 0.1, 0.2, 0.35, 0.4, 0.79, 0.8, 1.0]), st.booleans()), max_size=12)
 
