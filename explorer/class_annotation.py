@@ -19,10 +19,11 @@ from kinedex.catalog.classes import Classes
 from kinedex.catalog.queries.keyframe_query import KeyframeQuery
 from kinedex.explorer.templates import TemplateUse
 from kinedex.ops.annotation.segments import TOLERANCE, Matches, Segment
+from kinedex.ops.arrays import U64
 from kinedex.ops.cache import Cache
 from kinedex.ops.errors import KinedexError
 from kinedex.ops.templates.templates import QuantisedTemplate
-from kinedex.ops.words import U64, TakeWords
+from kinedex.ops.words import TakeWords
 from kinedex.pipelines.annotation.annotators import Annotator
 from kinedex.pipelines.annotation.batches import annotate_words, split_takes
 from kinedex.pipelines.annotation.methods import ClassTemplates, ThesisMethod

@@ -129,7 +129,11 @@ def _nearest(store: Store, stage: str, rows: list[Row]) -> dict[tuple[str, str, 
         templates = read_templates(store, f"{stage.partition('/')[0]}/{name}", kind)
     except KinedexError:
         return {}
-    hits = {_key(row): row["subclass"] for row in rows if row["take"] in store.take_ids}
+    hits = {
+        (row["take"], row["class"], row["start"], row["stop"]): row["subclass"]
+        for row in rows
+        if row["take"] in store.take_ids
+    }
     found = nearest_examples(store, hits, templates)
     return {
         key: {"take_id": store.take_ids[one.take], "take": one.take, "start": one.start, "stop": one.stop}

@@ -188,7 +188,9 @@ def strips(
     segments is the first method in `outcomes`. `near` has the place of the nearest example of (class, start, stop).
     """
     manual = sorted(test_take.truth, key=lambda one: (one.start, one.stop, one.label))
-    sides = [("manual", manual, next(iter(outcomes.values()))[test_take.name])]
+    sides: list[tuple[str, Sequence[TakeSegment], Sequence[TakeSegment]]] = [
+        ("manual", manual, next(iter(outcomes.values()))[test_take.name])
+    ]
     sides += [(name, outcome[test_take.name], manual) for name, outcome in outcomes.items()]
     rows = [_strip(*side, test_take, numbers, rate_hz, near or {}) for side in sides]
     return Strips(

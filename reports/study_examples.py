@@ -7,8 +7,8 @@ from collections.abc import Mapping
 
 import numpy as np
 
+from kinedex.ops.arrays import U64
 from kinedex.ops.templates.nearest_clip import nearest_clips
-from kinedex.ops.words import U64
 from kinedex.pipelines.engine.display import Progress, no_progress
 from kinedex.pipelines.evaluation.folds import TestTake
 from kinedex.pipelines.evaluation.study import SplitResult, Study, take_title

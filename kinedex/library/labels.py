@@ -340,8 +340,6 @@ class Labels:
 
         paths = [files] if isinstance(files, str) or not isinstance(files, Sequence) else files
         found = label_files([Path(path) for path in paths])
-        if corrects not in (None, "annotations", "labels"):
-            raise ParameterError("corrects", '"annotations" or "labels"', corrects)
         return _rows(import_labels(self._stored, found, corrects, stage, annotator=annotator, note=note))
 
 

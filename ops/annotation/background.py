@@ -14,9 +14,9 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from kinedex.ops.arrays import F64, I64
+from kinedex.ops.arrays import F64, I64, U64
 from kinedex.ops.errors import ParameterError
-from kinedex.ops.words import NO_WORD, U64, bits
+from kinedex.ops.words import NO_WORD, bits
 
 SPLITS = 2
 """The number of times that every posture is divided: 2 gives four postures. Chosen on clips of excluded actors

@@ -25,10 +25,9 @@ from kinedex.ops.annotation.decoding_kernels import (
     rival_values,
     summed_anew,
 )
-from kinedex.ops.arrays import F64, I64, Bool
+from kinedex.ops.arrays import F64, I64, U64, Bool
 from kinedex.ops.errors import ParameterError
 from kinedex.ops.templates.templates import Template
-from kinedex.ops.words import U64
 
 BLOCK_FRAMES = 32
 """The block length in frames: a template's promising ranges are widened to multiples of it."""

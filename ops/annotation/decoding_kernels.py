@@ -12,9 +12,9 @@ from typing import NamedTuple
 import numba as nb
 import numpy as np
 
-from kinedex.ops.arrays import F64, I64, Bool
+from kinedex.ops.arrays import F64, I64, U64, Bool
 from kinedex.ops.bits import lowest_bit
-from kinedex.ops.words import NO_WORD, U64
+from kinedex.ops.words import NO_WORD
 
 MAX_STEP = 3
 """The longest step of a path, in columns and in frames."""

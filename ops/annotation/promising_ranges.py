@@ -20,9 +20,9 @@ import numpy as np
 
 from kinedex.ops.annotation.decoding import Decoding, frames_of, lay_columns
 from kinedex.ops.annotation.decoding_kernels import MAX_STEP, Columns, Costs, Frames, change_ratios, step, sum_ratios
-from kinedex.ops.arrays import F32, F64, I64
+from kinedex.ops.arrays import F32, F64, I64, U64
 from kinedex.ops.templates.templates import Template
-from kinedex.ops.words import NO_WORD, U64
+from kinedex.ops.words import NO_WORD
 
 _GROUP_COLUMNS, _GROUP_TEMPLATES = 1024, 128
 """Maximum number of columns and templates that are compared with a take together, so that the working set stays in the

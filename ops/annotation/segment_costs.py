@@ -6,10 +6,9 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from kinedex.ops.arrays import F64, I64
+from kinedex.ops.arrays import F64, I64, U64
 from kinedex.ops.distances.dtw import distance_curves
 from kinedex.ops.templates.templates import QuantisedTemplate
-from kinedex.ops.words import U64
 
 
 def least_costs(

@@ -12,12 +12,11 @@ from kinedex.catalog.classes import Classes
 from kinedex.catalog.features import FeatureSet
 from kinedex.catalog.queries.keyframe_query import KeyframeQuery
 from kinedex.ops.annotation.confidence import Confidence
-from kinedex.ops.arrays import I64
+from kinedex.ops.arrays import I64, U64
 from kinedex.ops.errors import KinedexError, did_you_mean
 from kinedex.ops.templates.derived_templates import restricted_template
 from kinedex.ops.templates.templates import QuantisedTemplate, quantise
 from kinedex.ops.wording import counted, few
-from kinedex.ops.words import U64
 from kinedex.pipelines.annotation.methods import AnnotationMethod, ClassTemplates, ThesisMethod
 from kinedex.pipelines.search.not_applied import Applicability, applicability, remarks_on
 from kinedex.pipelines.search.preselection import known_queries, widest_margins

@@ -17,9 +17,9 @@ import numpy as np
 from kinedex.catalog.classes import Classes
 from kinedex.ops.annotation.confidence import PRIORS, UNKNOWN, Confidence, learn_confidence
 from kinedex.ops.annotation.evidence import evidence_of
-from kinedex.ops.arrays import F64, I64, Bool
+from kinedex.ops.arrays import F64, I64, U64, Bool
 from kinedex.ops.wording import counted
-from kinedex.ops.words import ALL_KNOWN, U64, TakeWords
+from kinedex.ops.words import ALL_KNOWN, TakeWords
 from kinedex.pipelines.annotation.annotators import Annotator
 from kinedex.pipelines.annotation.batches import annotate_words
 from kinedex.pipelines.engine.executors import Executor

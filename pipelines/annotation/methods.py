@@ -21,7 +21,7 @@ from kinedex.ops.annotation.decoding import Decoding, explain, frames_of, lay_co
 from kinedex.ops.annotation.promising_ranges import lay_groups, loose_ranges
 from kinedex.ops.annotation.segment_costs import least_costs
 from kinedex.ops.annotation.segments import Matches, Segment, annotate
-from kinedex.ops.arrays import F64, I64
+from kinedex.ops.arrays import F64, I64, U64
 from kinedex.ops.distances.costs import encode
 from kinedex.ops.distances.pruning import CoarseBound, coarse_bounds
 from kinedex.ops.distances.range_minima import minima_within

@@ -11,8 +11,8 @@ import polars as pl
 from kinedex.catalog.classes import OWN, Classes, load_classes
 from kinedex.catalog.queries.keyframe_query import KeyframeQuery
 from kinedex.catalog.queries.query_reader import read_query_files
+from kinedex.ops.arrays import U64
 from kinedex.ops.errors import KinedexError
-from kinedex.ops.words import U64
 from kinedex.pipelines.annotation.annotators import Annotator, make_annotator
 from kinedex.pipelines.annotation.confidence_calibration import CalibratedConfidence, Target, calibrate_confidence
 from kinedex.pipelines.annotation.parameters import CALIBRATED, AnnotationParameters, MethodParameters, least_frames

@@ -23,11 +23,11 @@ from kinedex.ops.annotation.background import background
 from kinedex.ops.annotation.decoding import Decoding
 from kinedex.ops.annotation.promising_ranges import Group, lay_groups, promising_ranges
 from kinedex.ops.annotation.segments import Segment
-from kinedex.ops.arrays import F64, I64, Bool
+from kinedex.ops.arrays import F64, I64, U64, Bool
 from kinedex.ops.errors import KinedexError, StoreError
 from kinedex.ops.templates.derived_templates import restricted_template
 from kinedex.ops.templates.templates import QuantisedTemplate, Template, quantise
-from kinedex.ops.words import U64, TakeWords
+from kinedex.ops.words import TakeWords
 from kinedex.pipelines.annotation.annotators import Annotator
 from kinedex.pipelines.annotation.methods import BestMethod, ClassTemplates, whole_takes, with_usual_values
 from kinedex.pipelines.templates.examples import Rejected

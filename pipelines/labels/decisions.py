@@ -5,12 +5,12 @@ from __future__ import annotations
 from collections import Counter, defaultdict
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Any, Literal
+from typing import Any
 
 import polars as pl
 import pyarrow as pa
 
-from kinedex.ops.errors import KinedexError
+from kinedex.ops.errors import KinedexError, ParameterError
 from kinedex.ops.wording import few
 from kinedex.pipelines.annotation.tables import annotate_stage, annotated_takes
 from kinedex.pipelines.labels.segments import Difference, PlacedFiles, differences, placed_files, segment_of
@@ -220,14 +220,10 @@ def labels_by_id(store: Store, ids: Sequence[str]) -> pl.DataFrame:
     return labels.filter(pl.any_horizontal(pl.col("id").str.starts_with(one) for one in ids))
 
 
-Corrects = Literal["annotations", "labels"]
-"""Kinds of exported segments that label files correct."""
-
-
 def import_labels(
     store: Store,
     files: Sequence[LabelFile],
-    corrects: Corrects | None = None,
+    corrects: str | None = None,
     stage: str | None = None,
     **more: str | None,
 ) -> Recorded:
@@ -256,6 +252,8 @@ def import_labels(
 
     Raises
     ------
+    ParameterError
+        `corrects` is something else.
     KinedexError
         No take of the files is in the store, a segment ends after its take, or annotations are corrected of which there
         are none in these takes.
@@ -267,11 +265,13 @@ def import_labels(
 def proposed_labels(
     store: Store,
     files: Sequence[LabelFile],
-    corrects: Corrects | None = None,
+    corrects: str | None = None,
     stage: str | None = None,
     **more: str | None,
 ) -> Proposed:
     """Return what `import_labels` would record; parameters and errors are those of `import_labels`."""
+    if corrects not in (None, "annotations", "labels"):
+        raise ParameterError("corrects", '"annotations" or "labels"', corrects)
     placed = placed_files(store, files)
     if corrects == "annotations":
         return _corrected_annotations(store, placed, stage, more)
@@ -333,7 +333,7 @@ def _corrected_labels(store: Store, placed: PlacedFiles, more: Mapping[str, str 
             row = _drawn(one.after, "drawn" if before is None else "corrected", more)
             yield row | {"replaces": before["id"]} if before is not None else row
         elif one.after is None and before is not None:
-            yield withdrawal(before) | more
+            yield {**withdrawal(before), **more}
 
 
 def _corrections(

@@ -23,8 +23,8 @@ Change = Literal["same", "moved", "renamed", "added", "removed"]
 
 def segment_of(row: Mapping[str, Any]) -> ManualSegment:
     """Return a row of annotations or labels as a segment in analysis frames."""
-    about = {name: row.get(name) or "" for name in ("limb", "annotator")}
-    return ManualSegment(row["take"], row["class"], row["start"], row["stop"], **about)
+    limb, annotator = row.get("limb") or "", row.get("annotator") or ""
+    return ManualSegment(row["take"], row["class"], row["start"], row["stop"], limb=limb, annotator=annotator)
 
 
 @dataclass(frozen=True)
@@ -167,11 +167,11 @@ def differences(
         for one in segments:
             groups[one.take, one.limb, one.annotator if one.limb else ""][place].append(one)
 
-    def place(one: Difference) -> tuple[str, float, float, str, str, str]:
+    def order(one: Difference) -> tuple[str, float, float, str, str, str]:
         shown = one.shown
         return shown.take, shown.start, shown.stop, shown.label, shown.limb, shown.annotator
 
-    return sorted((one for old, new in groups.values() for one in _of_group(old, new, tolerance)), key=place)
+    return sorted((one for old, new in groups.values() for one in _of_group(old, new, tolerance)), key=order)
 
 
 def _of_group(before: list[ManualSegment], after: list[ManualSegment], tolerance: float) -> list[Difference]:
