@@ -339,14 +339,6 @@ def list_labels(archive: Archive, asked: LabelsQuestion, _request: Request) -> R
     }
 
 
-routes = [
-    get("/api/labels", label_facts),
-    get("/api/takes/{take:int}/labels", take_labels),
-    post("/api/labels/list", list_labels, LabelsQuestion),
-    post("/api/labels/decide", decide, Decisions, writes=True),
-]
-
-
 _ID = 12
 """Number of digits of a label's id in a command."""
 
@@ -420,3 +412,11 @@ def _decide(command: Any, row: Row, by_person: str) -> tuple[str, str]:
     where = f"SELECT * FROM annotations WHERE take = {take} AND {edges} AND {label} IN (class, subclass)"
     words = ("--take", row["take"], "--class", row["class"], "--where", edges, "--stage", row["source"])
     return command(name, *words), f"store.labels.{name}(store.sql({where!r}, polars=True){by_person})"
+
+
+routes = [
+    get("/api/labels", label_facts),
+    get("/api/takes/{take:int}/labels", take_labels),
+    post("/api/labels/list", list_labels, LabelsQuestion),
+    post("/api/labels/decide", decide, Decisions, writes=True),
+]

@@ -49,6 +49,24 @@ METRICS = (
 )
 """The SQL query for the metrics of all evaluations."""
 
+REPORTS = "results/reports"
+"""The folder of the store with the files that stages write beside their results."""
+
+POLICY = (
+    "sandbox allow-scripts; default-src 'none'; script-src 'unsafe-inline'; style-src 'unsafe-inline'; "
+    "img-src data: blob:; font-src data:; base-uri 'none'; form-action 'none'; frame-ancestors 'none'"
+)
+"""The content policy of a report: inline scripts in an origin of its own, and nothing loaded from anywhere."""
+
+TYPES = {
+    ".html": "text/html",
+    ".json": "application/json",
+    ".csv": "text/csv",
+    ".md": "text/plain",
+    ".txt": "text/plain",
+}
+"""A dict from file extension to media type; files with other extensions are sent as downloads."""
+
 _SETTING = re.compile(r"\$\{([A-Za-z_][A-Za-z0-9_]*)\}")
 
 Text = Annotated[str, Field(max_length=10_000, pattern=r"^[^\x00]*$")]
@@ -213,32 +231,13 @@ def compare(archive: Archive, _request: Request) -> Row:
     return {"rows": archive.store().sql(METRICS).to_pylist(), **same_query(archive, METRICS)}
 
 
-FOLDER = "results/reports"
-"""The folder of the store with the files that stages write beside their results."""
-
-POLICY = (
-    "sandbox allow-scripts; default-src 'none'; script-src 'unsafe-inline'; style-src 'unsafe-inline'; "
-    "img-src data: blob:; font-src data:; base-uri 'none'; form-action 'none'; frame-ancestors 'none'"
-)
-"""The content policy of a report: inline scripts in an origin of its own, and nothing loaded from anywhere."""
-
-TYPES = {
-    ".html": "text/html",
-    ".json": "application/json",
-    ".csv": "text/csv",
-    ".md": "text/plain",
-    ".txt": "text/plain",
-}
-"""A dict from file extension to media type; files with other extensions are sent as downloads."""
-
-
 def report_names(archive: Archive) -> dict[tuple[str, str], list[str]]:
     """Return a dict from (stage, stage run) to the files that it wrote, relative to the folder of reports."""
     found: dict[tuple[str, str], list[str]] = defaultdict(list)
     for key, record in archive.store().manifest.stages.items():
         for name in record.summary.get("files", ()):
-            if isinstance(name, str) and name.startswith(f"{FOLDER}/"):
-                found[key, record.run].append(name.removeprefix(f"{FOLDER}/"))
+            if isinstance(name, str) and name.startswith(f"{REPORTS}/"):
+                found[key, record.run].append(name.removeprefix(f"{REPORTS}/"))
     return dict(found)
 
 
@@ -252,7 +251,7 @@ def report_file(archive: Archive, name: str) -> Path:
     StoreError
         The file is not as its stage wrote it.
     """
-    folder = (archive.path / FOLDER).resolve()
+    folder = (archive.path / REPORTS).resolve()
     path = (folder / name).resolve()
     is_known = any(name in names for names in report_names(archive).values())
     if not is_known or not path.is_relative_to(folder) or not path.is_file():

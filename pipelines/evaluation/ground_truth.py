@@ -30,6 +30,31 @@ Statement = tuple[str, str, int, int]
 UnknownLabels = Literal["error", "miss", "ignore"]
 
 
+NONE, OWN_CLASS = "none", "class"
+
+
+class GroundTruthParameters(BaseModel):
+    """The parameters that select ground truth."""
+
+    model_config = ConfigDict(extra="forbid")
+
+    ground_truth: str = Field(
+        "**/ground_truth.csv",
+        description="label files, read by their ending: .csv (take, class, start, stop in source frames), .json, "
+        ".eaf (ELAN), .vtt (WebVTT), .txt (Audacity); a glob below the takes' source folders, or an absolute path; "
+        "'class': each take's own class for all of it; 'none': there is none. Where none is given and this one finds "
+        "no file, takes that have a class, such as one that their paths name, are evaluated by it as with 'class'",
+    )
+    source: Annotated[str | None, NamesFile("data")] = Field(
+        None, description="the folder that ground_truth is relative to; by default the takes' source folders"
+    )
+    unknown_labels: UnknownLabels = Field(
+        "error",
+        description="a label that is neither a class nor a subclass: 'error'; 'miss' counts it as not found; 'ignore' "
+        "excludes it, and reports that",
+    )
+
+
 @dataclass(frozen=True)
 class Manual:
     """A manual segment on a take of the store, in analysis frames [start, stop), with its class."""
@@ -242,31 +267,6 @@ def ground_truth_rows(truth: GroundTruth, run: str) -> pa.Table:
     ordered = sorted(truth.segments, key=lambda one: (one.take, one.start, one.stop, one.label))
     rows = [{**vars(one), "run": run, "class": one.label} for one in ordered]
     return pa.Table.from_pylist(rows, schema=result_schema("ground_truth"))
-
-
-NONE, OWN_CLASS = "none", "class"
-
-
-class GroundTruthParameters(BaseModel):
-    """The parameters that select ground truth."""
-
-    model_config = ConfigDict(extra="forbid")
-
-    ground_truth: str = Field(
-        "**/ground_truth.csv",
-        description="label files, read by their ending: .csv (take, class, start, stop in source frames), .json, "
-        ".eaf (ELAN), .vtt (WebVTT), .txt (Audacity); a glob below the takes' source folders, or an absolute path; "
-        "'class': each take's own class for all of it; 'none': there is none. Where none is given and this one finds "
-        "no file, takes that have a class, such as one that their paths name, are evaluated by it as with 'class'",
-    )
-    source: Annotated[str | None, NamesFile("data")] = Field(
-        None, description="the folder that ground_truth is relative to; by default the takes' source folders"
-    )
-    unknown_labels: UnknownLabels = Field(
-        "error",
-        description="a label that is neither a class nor a subclass: 'error'; 'miss' counts it as not found; 'ignore' "
-        "excludes it, and reports that",
-    )
 
 
 def ground_truth_digest(params: GroundTruthParameters, store: Store | None) -> str:
