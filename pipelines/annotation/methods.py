@@ -17,9 +17,8 @@ import numpy as np
 
 from kinedex.catalog.plugins import Plugins
 from kinedex.ops.annotation.background import background
-from kinedex.ops.annotation.decoding import Decoding, explain, frames_of, lay_columns, margins
+from kinedex.ops.annotation.decoding import Decoding, explain, frames_of, lay_columns, least_costs, margins
 from kinedex.ops.annotation.promising_ranges import lay_groups, loose_ranges
-from kinedex.ops.annotation.segment_costs import least_costs
 from kinedex.ops.annotation.segments import Matches, Segment, annotate
 from kinedex.ops.arrays import F64, I64, U64
 from kinedex.ops.distances.costs import encode

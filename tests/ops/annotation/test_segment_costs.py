@@ -6,7 +6,7 @@ import numpy as np
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from kinedex.ops.annotation.segment_costs import least_costs
+from kinedex.ops.annotation.decoding import least_costs
 from kinedex.ops.distances.dtw import distance_curves
 from kinedex.ops.templates.templates import QuantisedTemplate
 from kinedex.ops.words import NO_WORD, U64
