@@ -8,9 +8,8 @@ from numba import njit
 from kinedex.catalog.queries.keyframe_query import KeyframeQuery
 from kinedex.ops.arrays import I64
 from kinedex.ops.errors import ParameterError
-from kinedex.ops.ranges import extend_and_unite
+from kinedex.ops.ranges import TAKE_BITS, extend_and_unite
 from kinedex.ops.search.gaps import UNBOUNDED
-from kinedex.ops.search.segments import TAKE_BITS
 
 _ROOM = 4_000_000
 

@@ -30,6 +30,12 @@ from kinedex.explorer.answers import Json, NotFoundError, fault_answer
 from kinedex.explorer.archive import Archive, ReadOnlyError
 from kinedex.ops.withdrawal import withdrawn_when
 
+Result = Mapping[str, Any] | Response | bytes
+
+LINES = "application/x-ndjson"
+
+LOOK_SECONDS = 0.1
+
 
 class Question(BaseModel):
     """The base class of request bodies; an unknown field is an error."""
@@ -38,8 +44,6 @@ class Question(BaseModel):
 
 
 Asked = TypeVar("Asked", bound=Question)
-
-Result = Mapping[str, Any] | Response | bytes
 
 
 def get(path: str, function: Callable[[Archive, Request], Result]) -> Route:
@@ -136,11 +140,6 @@ def get_of_take(path: str, function: Callable[[Any, int], Result]) -> Route:
     return get(f"/api/takes/{{take:int}}{path}", lambda archive, request: function(*take_of(archive, request)))
 
 
-LINES = "application/x-ndjson"
-
-LOOK_SECONDS = 0.1
-
-
 class Progress:
     """The number of steps of some work, done and in all; one thread counts them while another one reads the numbers."""
 
@@ -155,8 +154,6 @@ class Progress:
         """Count a step."""
         self.step = (self.step[0] + 1, self.step[1])
 
-
-Asked = TypeVar("Asked", bound=Question)
 
 Function = Callable[[Archive, Asked, Request, Progress], Mapping[str, Any]]
 

@@ -1,10 +1,12 @@
-"""Responses of the server: JSON without NaN, and one format for all errors."""
+"""Responses of the server: JSON without NaN, one format for all errors, and commands that do the same as a request."""
 
 from __future__ import annotations
 
 import json
 import logging
+import shlex
 from dataclasses import asdict
+from pathlib import Path
 from typing import Any
 
 from pydantic import ValidationError
@@ -12,7 +14,7 @@ from starlette.exceptions import HTTPException
 from starlette.requests import ClientDisconnect, Request
 from starlette.responses import Response
 
-from kinedex.explorer.archive import ReadOnlyError
+from kinedex.explorer.archive import Archive, ReadOnlyError
 from kinedex.ops.errors import ConflictError, KinedexError, ParameterError, Remedy
 from kinedex.ops.withdrawal import WithdrawnError
 from kinedex.storage.disk import WriteError
@@ -110,3 +112,35 @@ def _wrong_fields(fault: ValidationError) -> str:
         for one in fault.errors(include_url=False, include_context=False, include_input=False)[:10]
     )
     return "; ".join(parts)
+
+
+def command_line(*words: str | Path) -> str:
+    """Return a command of the shell, its words quoted where they need it.
+
+    Examples
+    --------
+    >>> command_line("kinedex", "sql", Path("my store"), "SELECT 1")
+    "kinedex sql 'my store' 'SELECT 1'"
+    """
+    return shlex.join(str(word) for word in words)
+
+
+def python_lines(store: Path, *lines: str) -> str:
+    """Return a Python program that opens the store as `store` and then runs some lines.
+
+    Examples
+    --------
+    >>> print(python_lines(Path("my store"), "store.takes()"))
+    import kinedex
+    store = kinedex.open_store('my store')
+    store.takes()
+    """
+    return "\n".join(["import kinedex", f"store = kinedex.open_store({str(store)!r})", *lines])
+
+
+def same_query(archive: Archive, text: str) -> dict[str, str]:
+    """Return the command and the Python lines that run a SQL query on the store."""
+    return {
+        "command": command_line("kinedex", "sql", archive.path, text),
+        "python": python_lines(archive.path, f"store.sql({text!r})"),
+    }

@@ -12,14 +12,13 @@ from dataclasses import dataclass, replace
 from functools import cached_property, partial
 
 import numpy as np
-import numpy.typing as npt
 from pydantic import ValidationError
 
 from kinedex.catalog.classes import Classes
 from kinedex.catalog.queries.keyframe_query import KeyframeQuery
 from kinedex.explorer.templates import TemplateUse
 from kinedex.ops.annotation.segments import TOLERANCE, Matches, Segment
-from kinedex.ops.arrays import U64
+from kinedex.ops.arrays import F64, I32, I64, U64
 from kinedex.ops.cache import Cache
 from kinedex.ops.errors import KinedexError
 from kinedex.ops.templates.templates import QuantisedTemplate
@@ -43,14 +42,12 @@ from kinedex.pipelines.templates.learning import SubclassTemplate, TrainingClips
 from kinedex.pipelines.templates.training import TemplateParameters, training_material
 from kinedex.storage.store.store import Store
 
-F64 = npt.NDArray[np.float64]
-I64 = npt.NDArray[np.int64]
-I32 = npt.NDArray[np.int32]
-
 Found = tuple[I64, I64, F64]
 """Starts, ends and costs, as in `Matches`."""
 
 Key = tuple[object, ...]
+
+Step = Callable[[], None]
 
 MOST_BYTES = 200_000_000
 """Maximum number of bytes of cached matches, of which the least recently used are dropped; 28 templates in 100 h take
@@ -130,9 +127,6 @@ def content_of(template: QuantisedTemplate) -> tuple[bytes, bytes, bytes]:
     """Return what the matches of a template in whole takes depend on, besides threshold and words, for cache keys."""
     weights = b"" if template.feature_weights is None else template.feature_weights.tobytes()
     return template.mask.tobytes(), template.value.tobytes(), weights
-
-
-Step = Callable[[], None]
 
 
 @dataclass(frozen=True)

@@ -17,10 +17,10 @@ import numpy.typing as npt
 from starlette.requests import Request
 
 from kinedex.explorer.addresses import get, get_of_take, take_of
+from kinedex.explorer.answers import command_line, python_lines
 from kinedex.explorer.archive import Archive
 from kinedex.explorer.lanes import words_of_take
 from kinedex.explorer.motion import check_frame, check_interval, frames_of, name_of, whole_number
-from kinedex.explorer.same import command_line, python_lines
 from kinedex.ops.annotation.segments import local_minima
 from kinedex.ops.distances.curve_path import curve_paths
 from kinedex.ops.distances.dtw import distance_curves

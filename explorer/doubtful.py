@@ -13,8 +13,8 @@ import polars as pl
 from pydantic import Field
 
 from kinedex.explorer.addresses import Question, post
+from kinedex.explorer.answers import command_line, python_lines
 from kinedex.explorer.labels import stage_of
-from kinedex.explorer.same import command_line, python_lines
 from kinedex.ops.errors import KinedexError
 from kinedex.pipelines.labels.selection import Selection, least_confident_first, selected
 from kinedex.pipelines.templates.learning import read_templates

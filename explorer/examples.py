@@ -26,10 +26,10 @@ from starlette.requests import Request
 
 from kinedex.catalog.template_files import write_yaml
 from kinedex.explorer.addresses import post
+from kinedex.explorer.answers import command_line, python_lines
 from kinedex.explorer.archive import Archive
 from kinedex.explorer.hits import ChosenHit, Limit, shown_hits, take_condition
 from kinedex.explorer.labels import same_decisions
-from kinedex.explorer.same import command_line, python_lines
 from kinedex.explorer.selections import Selection
 from kinedex.ops.distances.curve_path import curve_paths
 from kinedex.ops.distances.dtw import distance_curves

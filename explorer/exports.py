@@ -22,11 +22,10 @@ from pydantic import Field
 from starlette.requests import Request
 
 from kinedex.explorer.addresses import Question, get, post
-from kinedex.explorer.answers import NotFoundError
+from kinedex.explorer.answers import NotFoundError, command_line, python_lines
 from kinedex.explorer.archive import Archive
 from kinedex.explorer.hits import take_condition
 from kinedex.explorer.jobs import Job, jobs_of
-from kinedex.explorer.same import command_line, python_lines
 from kinedex.explorer.selections import SQL_SECONDS, Filter, Selection
 from kinedex.ops.errors import ConflictError, KinedexError
 from kinedex.ops.local_paths import refuse_addresses

@@ -16,6 +16,7 @@ from kinedex.explorer.class_annotation import PipelineMaterial, word_batches
 from kinedex.explorer.template_edits import EditQuestion
 from kinedex.explorer.templates import TemplateUse, named, template_use
 from kinedex.ops.annotation.calibration import best_threshold
+from kinedex.ops.arrays import F64
 from kinedex.ops.cache import Cache
 from kinedex.ops.evaluation.metrics import Counts
 from kinedex.ops.intervals import in_seconds
@@ -36,6 +37,13 @@ MOST_SECONDS = 3600.0
 
 Segments = dict[str, list[tuple[int, int]]]
 """A dict from take name to the segments [start, stop) of one class in it, in frames; an empty list if it has none."""
+
+
+KEPT = 2
+"""Maximum number of templates whose held-out takes' words are kept in memory between two edits."""
+
+_PREPARING = Lock()
+"""Held while the data of a template are read, so that further requests for them wait."""
 
 
 @dataclass(frozen=True)
@@ -185,12 +193,6 @@ def labelled_segments(store: Store, use: TemplateUse, label: str) -> tuple[Segme
     return found, remarks
 
 
-F64 = npt.NDArray[np.float64]
-
-KEPT = 2
-"""Maximum number of templates whose held-out takes' words are kept in memory between two edits."""
-
-
 @dataclass(frozen=True)
 class TrainingCosts:
     """The training clips of all classes, and what they cost for the templates of one class.
@@ -292,8 +294,6 @@ class Prepared:
 
 
 _PREPARED: Cache[tuple[object, ...], Prepared] = Cache(KEPT)
-_PREPARING = Lock()
-"""Held while the data of a template are read, so that further requests for them wait."""
 
 
 def prepared_template(archive: Archive, store: Store, asked: EditQuestion) -> Prepared:

@@ -31,9 +31,8 @@ from weakref import WeakKeyDictionary
 from starlette.requests import Request
 
 from kinedex.explorer.addresses import Question, get, post
-from kinedex.explorer.answers import NotFoundError
+from kinedex.explorer.answers import NotFoundError, command_line
 from kinedex.explorer.archive import Archive
-from kinedex.explorer.same import command_line
 from kinedex.storage.disk import write_errors
 from kinedex.storage.snapshot.manifest_files import versions
 
@@ -50,6 +49,12 @@ MOST_LOG_BYTES = 200_000
 """The end of a log that is sent; the file has all of it."""
 
 State = Literal["waiting", "running", "done", "failed", "stopped"]
+
+
+PROGRAM = "kinedex.explorer.waiting_command"
+"""The module that the process runs."""
+
+_MAKING = threading.Lock()
 
 
 @dataclass
@@ -105,10 +110,6 @@ class Job:
             "share": share,
             "command": command_line("kinedex", *self.words),
         }
-
-
-PROGRAM = "kinedex.explorer.waiting_command"
-"""The module that the process runs."""
 
 
 class SpareProcess:
@@ -370,7 +371,6 @@ def _now() -> str:
 
 
 _JOBS: WeakKeyDictionary[Archive, Jobs] = WeakKeyDictionary()
-_MAKING = threading.Lock()
 
 
 def jobs_of(archive: Archive) -> Jobs:

@@ -31,10 +31,9 @@ from kinedex.catalog.queries.keyframe_query import KeyframeQuery, WordPattern, f
 from kinedex.catalog.queries.query_reader import parse_queries, references
 from kinedex.catalog.queries.query_writer import pose_groups, pose_text, write_queries
 from kinedex.explorer.addresses import Question, get, post
-from kinedex.explorer.answers import NotFoundError
+from kinedex.explorer.answers import NotFoundError, command_line, python_lines
 from kinedex.explorer.archive import Archive
 from kinedex.explorer.hits import ChosenHit, Limit, shown_hits, take_condition
-from kinedex.explorer.same import command_line, python_lines
 from kinedex.explorer.selections import Selection
 from kinedex.explorer.templates import learning_stages
 from kinedex.ops.errors import ConfigError, KinedexError
@@ -52,6 +51,9 @@ from kinedex.storage.store.store import Store
 
 MOST_TEXT = 100_000
 MOST_POSES = 20
+
+
+Row = dict[str, Any]
 
 
 class PoseEntry(Question):
@@ -208,9 +210,6 @@ def propose(archive: Archive, asked: ProposalQuestion, _request: Request) -> dic
         "query": model_of(read_text(text, store), store),
         "command": command_line(*words, "--keyframes", str(asked.keyframes)),
     }
-
-
-Row = dict[str, Any]
 
 
 def list_queries(archive: Archive, request: Request) -> Row:

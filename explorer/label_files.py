@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 from pydantic import Field
 
 from kinedex.explorer.addresses import Question, post
-from kinedex.explorer.same import command_line
+from kinedex.explorer.answers import command_line
 from kinedex.ops.errors import ConflictError, KinedexError
 from kinedex.ops.local_paths import refuse_addresses
 from kinedex.pipelines.annotation.tables import annotate_stage

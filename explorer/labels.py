@@ -32,7 +32,7 @@ import pyarrow.compute as pc
 from pydantic import Field
 
 from kinedex.explorer.addresses import Question, get, post, take_of
-from kinedex.explorer.same import command_line, python_lines
+from kinedex.explorer.answers import command_line, python_lines
 from kinedex.ops.errors import KinedexError, did_you_mean
 from kinedex.pipelines.annotation.tables import annotate_stage
 from kinedex.pipelines.labels.edits import LabelEdits, label_edits, record_edits

@@ -18,10 +18,10 @@ import pyarrow.compute as pc
 from starlette.requests import Request
 
 from kinedex.explorer.addresses import get, get_of_take, take_of
-from kinedex.explorer.answers import NotFoundError
+from kinedex.explorer.answers import NotFoundError, command_line, python_lines
 from kinedex.explorer.archive import Archive
 from kinedex.explorer.motion import POSITIONS, PositionCache, check_frame, frames_of, whole_number
-from kinedex.explorer.same import command_line, python_lines
+from kinedex.ops.arrays import F64
 from kinedex.ops.body.motion_faults import fault_marks
 from kinedex.ops.errors import ParameterError, did_you_mean
 from kinedex.ops.intervals import in_seconds, nearest_frame
@@ -29,7 +29,6 @@ from kinedex.ops.words import ALL_KNOWN, NO_WORD, U64
 from kinedex.storage.store.store import Store
 
 Row = dict[str, Any]
-F64 = npt.NDArray[np.float64]
 
 _PLAIN = """SELECT {columns} FROM {view} WHERE take_id = ? ORDER BY ALL"""
 

@@ -26,10 +26,10 @@ from starlette.requests import Request
 from kinedex.catalog.classes import OWN, class_files
 from kinedex.catalog.configs import load_yaml
 from kinedex.explorer.addresses import Question, get, post
+from kinedex.explorer.answers import command_line
 from kinedex.explorer.archive import Archive
 from kinedex.explorer.jobs import FOLDER, Job, NoQuestion, jobs_of, run_words
 from kinedex.explorer.labels import stage_of
-from kinedex.explorer.same import command_line
 from kinedex.ops.errors import ConflictError, KinedexError, StoreError
 from kinedex.pipelines.annotation.tables import annotate_stage
 from kinedex.pipelines.labels.segments import Difference, differences, segment_of

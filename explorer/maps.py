@@ -26,10 +26,9 @@ from starlette.responses import Response, StreamingResponse
 from starlette.routing import Route
 
 from kinedex.explorer.addresses import LINES, fault_line, post
-from kinedex.explorer.answers import Json
+from kinedex.explorer.answers import Json, python_lines, same_query
 from kinedex.explorer.archive import Archive
 from kinedex.explorer.map_processes import maps_of, require_extra
-from kinedex.explorer.same import python_lines, same_query
 from kinedex.explorer.selections import SQL_SECONDS, Selection, columns_with_nan, condition_of, expression, own_words
 from kinedex.explorer.store import NUMERIC
 from kinedex.ops.errors import ParameterError

@@ -33,6 +33,7 @@ from starlette.responses import Response, StreamingResponse
 
 from kinedex.explorer.addresses import Question, get, post, take_of
 from kinedex.explorer.archive import Archive
+from kinedex.ops.arrays import F32
 from kinedex.ops.body.facing_direction import Placement, facing_yaw, start_at_origin
 from kinedex.ops.cache import Cache
 from kinedex.ops.errors import KinedexError, ParameterError
@@ -41,8 +42,6 @@ from kinedex.ops.withdrawal import check_withdrawn
 from kinedex.storage.snapshot.frames import read_intervals
 from kinedex.storage.snapshot.parts import joint_positions
 from kinedex.storage.store.store import Store
-
-F32 = npt.NDArray[np.float32]
 
 MAGIC = b"KNX1"
 HEADER_BYTES = 48

@@ -15,8 +15,8 @@ from starlette.requests import Request
 
 from kinedex.catalog.quality_figures import FIGURES
 from kinedex.explorer.addresses import get
+from kinedex.explorer.answers import command_line, same_query
 from kinedex.explorer.archive import Archive
-from kinedex.explorer.same import command_line, same_query
 from kinedex.explorer.selections import SQL_SECONDS
 
 ROWS = 2000

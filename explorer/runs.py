@@ -28,10 +28,9 @@ from starlette.responses import FileResponse
 
 from kinedex.catalog.configs import config_names, config_path, load_yaml, shipped_configs
 from kinedex.explorer.addresses import Question, get, post
-from kinedex.explorer.answers import NotFoundError
+from kinedex.explorer.answers import NotFoundError, command_line, same_query
 from kinedex.explorer.archive import Archive
 from kinedex.explorer.jobs import Job, jobs_of, run_words
-from kinedex.explorer.same import command_line, same_query
 from kinedex.ops.errors import ConfigError, KinedexError
 from kinedex.pipelines.engine.config import Pipeline, load_pipeline
 from kinedex.pipelines.engine.plan import Step, make_plan

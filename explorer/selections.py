@@ -43,6 +43,18 @@ _PLAIN = frozenset({"groups", "order", "group", "table", "set", "limit", "offset
 Scalar = str | int | float | bool | None
 
 
+FEW_IDS = 100
+"""Maximum number of ids that are listed in SQL; more are looked up in the bit set, as a list of 33,000 ids takes half a
+second.
+"""
+
+_QUOTE = re.compile(r"(.*?)\n\nLINE (\d+): (.*)\n( *)\^+\s*", re.DOTALL)
+"""A message of DuckDB: the error, and the line of the statement, cut to the part around the position that ^ marks."""
+
+_SHOWN = 60
+"""Maximum number of characters of a condition that a message quotes."""
+
+
 class Filter(Question):
     """A condition on one column: its value is one of a list, lies in a range, contains a text, or is chosen."""
 
@@ -139,12 +151,6 @@ def packed_ids(ids: npt.NDArray[np.int64]) -> str:
     return base64.urlsafe_b64encode(np.packbits(marks).tobytes()).decode().rstrip("=")
 
 
-FEW_IDS = 100
-"""Maximum number of ids that are listed in SQL; more are looked up in the bit set, as a list of 33,000 ids takes half a
-second.
-"""
-
-
 def _chosen(name: str, text: str) -> str:
     """Return the SQL condition that a column of integers is one of the numbers whose bits are set.
 
@@ -183,13 +189,6 @@ def values_of(rows: pa.Table, column: str) -> list[Any]:
         return [source.rpartition("/")[0] or "." for source in rows.column("source").to_pylist()]
     found: list[Any] = rows.column(column).to_pylist()
     return found
-
-
-_QUOTE = re.compile(r"(.*?)\n\nLINE (\d+): (.*)\n( *)\^+\s*", re.DOTALL)
-"""A message of DuckDB: the error, and the line of the statement, cut to the part around the position that ^ marks."""
-
-_SHOWN = 60
-"""Maximum number of characters of a condition that a message quotes."""
 
 
 Asked = TypeVar("Asked", bound=Selection)

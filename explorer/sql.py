@@ -19,9 +19,9 @@ from starlette.requests import Request
 
 from kinedex.catalog.sql.views import VIEWS
 from kinedex.explorer.addresses import Question, get, post
+from kinedex.explorer.answers import command_line, python_lines
 from kinedex.explorer.archive import Archive
 from kinedex.explorer.hits import MOST_HITS, shown_hits
-from kinedex.explorer.same import command_line, python_lines
 from kinedex.ops.cache import Cache
 from kinedex.ops.intervals import Hit, Interval
 from kinedex.storage.duck import sql_type

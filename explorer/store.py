@@ -13,8 +13,8 @@ import pyarrow as pa
 from starlette.requests import Request
 
 from kinedex.explorer.addresses import get
+from kinedex.explorer.answers import command_line, python_lines
 from kinedex.explorer.archive import Archive
-from kinedex.explorer.same import command_line, python_lines
 from kinedex.ops.body.joint_tree import JOINT_PARENTS
 from kinedex.storage.duck import sql_type
 from kinedex.storage.store.store import Store

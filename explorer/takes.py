@@ -28,8 +28,8 @@ from pydantic import Field
 from starlette.requests import Request
 
 from kinedex.explorer.addresses import Question, post
+from kinedex.explorer.answers import same_query
 from kinedex.explorer.archive import Archive
-from kinedex.explorer.same import same_query
 from kinedex.explorer.selections import (
     SQL_SECONDS,
     Selection,
@@ -51,6 +51,15 @@ KEPT = 32
 """Maximum number of queries whose sorted takes are cached; each needs some bytes a take."""
 
 
+Found = tuple[npt.NDArray[np.int64], float]
+"""The takes of a question: their rows in `Store.take_rows`, in the order asked for, and their duration in hours."""
+
+BINS = 24
+"""Number of bins of the histogram of a numeric column."""
+
+Rows = Annotated[int, Field(ge=1, le=2000)]
+
+
 class Sort(Question):
     """A column to sort by."""
 
@@ -66,9 +75,6 @@ class TakesQuestion(Selection):
     offset: Annotated[int, Field(ge=0)] = 0
     limit: Annotated[int, Field(ge=0, le=BLOCK)] = 100
 
-
-Found = tuple[npt.NDArray[np.int64], float]
-"""The takes of a question: their rows in `Store.take_rows`, in the order asked for, and their duration in hours."""
 
 _FOUND: Cache[tuple[str, int, str], Found] = Cache(KEPT)
 """The sorted takes of the latest queries, so that they are sorted once while a page scrolls."""
@@ -122,12 +128,6 @@ def find_takes(archive: Archive, asked: TakesQuestion, _request: Request) -> dic
         "warnings": [texts or [] for texts in block.column("warnings").to_pylist()],
         **same_query(archive, f"SELECT {shown} FROM takes{condition}{order}"),
     }
-
-
-BINS = 24
-"""Number of bins of the histogram of a numeric column."""
-
-Rows = Annotated[int, Field(ge=1, le=2000)]
 
 
 class TotalsQuestion(Selection):

@@ -20,8 +20,8 @@ from starlette.requests import Request
 from kinedex.catalog.configs import config_path
 from kinedex.catalog.template_files import write_yaml
 from kinedex.explorer.addresses import Question, post
+from kinedex.explorer.answers import command_line, python_lines
 from kinedex.explorer.archive import Archive
-from kinedex.explorer.same import command_line, python_lines
 from kinedex.explorer.templates import TemplateUse, named, template_use
 from kinedex.ops.errors import ConfigError
 from kinedex.ops.templates.derived_templates import adjusted

@@ -31,10 +31,9 @@ from starlette.requests import Request
 
 from kinedex.catalog.classes import OWN, Classes
 from kinedex.explorer.addresses import get
-from kinedex.explorer.answers import NotFoundError
+from kinedex.explorer.answers import NotFoundError, command_line, python_lines
 from kinedex.explorer.archive import Archive
 from kinedex.explorer.curves import kind_of
-from kinedex.explorer.same import command_line, python_lines
 from kinedex.ops.errors import KinedexError, ParameterError
 from kinedex.ops.intervals import in_seconds, shown_seconds
 from kinedex.ops.templates.derived_templates import Contrast, consistency, contrast

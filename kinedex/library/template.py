@@ -7,7 +7,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
-import numpy.typing as npt
 
 from kinedex.catalog.features import FeatureSet, load_feature_set
 from kinedex.catalog.template_files import read_templates
@@ -32,7 +31,6 @@ if TYPE_CHECKING:
 
     from kinedex.library.picture import Picture
 
-F64 = npt.NDArray[np.float64]
 Examples = Callable[[], Mapping[str, U64]]
 
 

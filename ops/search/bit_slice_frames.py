@@ -12,8 +12,8 @@ from numba import njit
 
 from kinedex.ops.bits import count_bits, filled_below, highest_bit, lowest_bit
 from kinedex.ops.cache_prefetch import prefetch
+from kinedex.ops.ranges import TAKE_BITS
 from kinedex.ops.search.bit_slices import ALL_BITS, BLOCK, NO_BITS, SHIFT
-from kinedex.ops.search.segments import TAKE_BITS
 
 
 @njit(cache=True, nogil=True)

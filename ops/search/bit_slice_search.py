@@ -67,7 +67,7 @@ def search_slices(
     -------
     int64 array (n, 2)
         The ranges from the first to the last keyframe of all hits, as segments of the axis of positions
-        (`ops.search.segments`); ranges that overlap or touch are one. No hit begins or ends in an invalid frame, and no
+        (`ops.ranges`); ranges that overlap or touch are one. No hit begins or ends in an invalid frame, and no
         keyframe matches there, but gaps may span them.
 
     Raises

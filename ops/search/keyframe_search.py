@@ -25,9 +25,9 @@ from collections.abc import Sequence
 import numpy as np
 
 from kinedex.ops.errors import ParameterError
+from kinedex.ops.ranges import to_axis
 from kinedex.ops.search.gaps import checked_gaps
 from kinedex.ops.search.inverted_lists import InvertedLists
-from kinedex.ops.search.segments import to_axis
 from kinedex.ops.words import I64
 
 
@@ -45,7 +45,7 @@ def keyframe_list(lists: InvertedLists, mask: int, value: int) -> I64:
     Returns
     -------
     int64 array (n, 2)
-        Maximal segments of positions (see `ops.search.segments`): runs of different words that touch are one segment.
+        Maximal segments of positions (see `ops.ranges`): runs of different words that touch are one segment.
 
     Raises
     ------

@@ -10,9 +10,9 @@ import numpy as np
 
 from kinedex.ops.arrays import I64, U64, Bool
 from kinedex.ops.keyframes.training_task import Individual
+from kinedex.ops.ranges import from_axis
 from kinedex.ops.search.bit_slice_search import search_slices
 from kinedex.ops.search.bit_slices import slice_words
-from kinedex.ops.search.segments import from_axis
 from kinedex.ops.words import TakeWords
 
 Margins = Literal["learned", "shared"]

@@ -15,6 +15,24 @@ from kinedex.pipelines.keyframes.runs import outcomes_of
 from kinedex.storage.snapshot.shown_results import pipeline_of, shown_pipeline
 from kinedex.storage.store.store import Store
 
+_OVERVIEW = pa.schema(
+    [
+        ("query", pa.string()),
+        ("origin", pa.string()),
+        ("runs", pa.int64()),
+        ("precision", pa.float64()),
+        ("recall", pa.float64()),
+        ("fitness", pa.float64()),
+        ("keyframes", pa.string()),
+        ("margins", pa.string()),
+    ]
+)
+
+LEGEND = """keyframes: features that are on, and off where a minus stands before them; & joins what holds in one frame;
+→11–56→: the next keyframe follows 11 to 56 frames later. margins: frames before and after a hit that the motion may
+reach. Precision and recall are those of all queries of a class together, in its first row."""
+"""The text below the table on the terminal."""
+
 
 @dataclass(frozen=True)
 class StoredQueries:
@@ -79,20 +97,6 @@ def stored_queries(store: Store, classes: Sequence[str] | None = None, pipeline:
     return StoredQueries(chosen, frozenset(found), stage, tuple(others))
 
 
-_OVERVIEW = pa.schema(
-    [
-        ("query", pa.string()),
-        ("origin", pa.string()),
-        ("runs", pa.int64()),
-        ("precision", pa.float64()),
-        ("recall", pa.float64()),
-        ("fitness", pa.float64()),
-        ("keyframes", pa.string()),
-        ("margins", pa.string()),
-    ]
-)
-
-
 def overview(outcomes: Sequence[Outcome], feature_set: FeatureSet, taken: Collection[str]) -> pa.Table:
     """Return a row for each query with its origin, its keyframes, and the scores of the queries of its class.
 
@@ -125,12 +129,6 @@ def overview(outcomes: Sequence[Outcome], feature_set: FeatureSet, taken: Collec
                 }
             )
     return pa.Table.from_pylist(rows, schema=_OVERVIEW)
-
-
-LEGEND = """keyframes: features that are on, and off where a minus stands before them; & joins what holds in one frame;
-→11–56→: the next keyframe follows 11 to 56 frames later. margins: frames before and after a hit that the motion may
-reach. Precision and recall are those of all queries of a class together, in its first row."""
-"""The text below the table on the terminal."""
 
 
 def sentence(query: KeyframeQuery, feature_set: FeatureSet) -> str:

@@ -6,8 +6,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-import numpy.typing as npt
 
+from kinedex.ops.arrays import F64
 from kinedex.ops.errors import KinedexError
 from kinedex.ops.intervals import Hit
 from kinedex.ops.templates.derived_templates import contrast_weights
@@ -18,8 +18,6 @@ from kinedex.pipelines.search.bit_slices import stored_words
 from kinedex.pipelines.templates.learning import learned_of, usable_clips
 from kinedex.pipelines.templates.stored_templates import frame_range, template_of_frames
 from kinedex.storage.store.store import Store
-
-F64 = npt.NDArray[np.float64]
 
 
 @dataclass(frozen=True)

@@ -18,10 +18,9 @@ import numpy as np
 from kinedex.catalog.features import FeatureSet
 from kinedex.catalog.queries.keyframe_query import KeyframeQuery, WordPattern, restricted_query, word_pattern
 from kinedex.ops.errors import StoreError
-from kinedex.ops.ranges import TakeRanges
+from kinedex.ops.ranges import TakeRanges, from_axis
 from kinedex.ops.search.bit_slice_search import search_slices
 from kinedex.ops.search.bit_slices import BitSlices, slice_words, unsliced_words
-from kinedex.ops.search.segments import from_axis
 from kinedex.ops.words import ALL_KNOWN, I64, U64, TakeWords
 from kinedex.storage.index.generations import current_generation, missing_index, read_generation
 from kinedex.storage.index.slice_files import ShardSlices, open_slices

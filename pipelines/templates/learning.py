@@ -10,9 +10,9 @@ from itertools import groupby
 from typing import TYPE_CHECKING
 
 import numpy as np
-import numpy.typing as npt
 import pyarrow as pa
 
+from kinedex.ops.arrays import F64
 from kinedex.ops.errors import KinedexError
 from kinedex.ops.templates.derived_templates import without_unknown
 from kinedex.ops.templates.templates import MOST_AVERAGED, REFERENCES, Learned, NamedTemplate, Spread, learn
@@ -31,7 +31,6 @@ from kinedex.storage.store.store import Store
 if TYPE_CHECKING:
     import polars as pl
 
-F64 = npt.NDArray[np.float64]
 
 _TASK_CELLS = 20_000_000
 """The approximate number of alignment cells of one round in a task, which take about a second."""

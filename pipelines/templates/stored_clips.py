@@ -11,6 +11,7 @@ from typing import Protocol
 import numpy as np
 import numpy.typing as npt
 
+from kinedex.ops.arrays import F64, I64
 from kinedex.ops.templates.nearest_clip import nearest_clips
 from kinedex.ops.templates.templates import Template
 from kinedex.ops.templates.warping import align
@@ -21,8 +22,10 @@ from kinedex.pipelines.templates.examples import interval_of
 from kinedex.pipelines.templates.learning import SubclassTemplate, TrainingClips
 from kinedex.storage.store.store import Store
 
-F64 = npt.NDArray[np.float64]
-I64 = npt.NDArray[np.int64]
+Key = tuple[str, str, int, int]
+"""An annotated interval: take, class, start and stop."""
+
+_MIRRORED = re.compile(r"(\d+) of \d+ clips are those of .* in the mirror")
 
 
 @dataclass(frozen=True)
@@ -138,12 +141,6 @@ def poses_of_columns(template: Template, clip: StoredClip) -> I64:
     first, last = np.searchsorted(path[:, 0], columns), np.searchsorted(path[:, 0], columns, side="right") - 1
     frames: I64 = clip.start + path[(first + last) // 2, 1]
     return frames
-
-
-Key = tuple[str, str, int, int]
-"""An annotated interval: take, class, start and stop."""
-
-_MIRRORED = re.compile(r"(\d+) of \d+ clips are those of .* in the mirror")
 
 
 class Learned(Protocol):

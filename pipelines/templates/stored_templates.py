@@ -22,6 +22,10 @@ from kinedex.storage.store.store import Store
 TEMPLATE_ENDINGS = (".yaml", ".yml", ".csv")
 
 
+LEARNED = "learned"
+"""The origin of a template that was learned from clips of its own class."""
+
+
 @dataclass(frozen=True)
 class StoredTemplate:
     """A template and the stage that stored it, "<pipeline>/<stage>"."""
@@ -361,10 +365,6 @@ def template_of_frames(
         template = without_unknown(template, known)
     begin = first + int(valid[0])
     return NamedTemplate(name, template, f"frames {begin} to {begin + len(clip)} of {take}")
-
-
-LEARNED = "learned"
-"""The origin of a template that was learned from clips of its own class."""
 
 
 @dataclass(frozen=True)

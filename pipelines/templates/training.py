@@ -8,12 +8,12 @@ from pathlib import Path
 from typing import Annotated
 
 import numpy as np
-import numpy.typing as npt
 import polars as pl
 from pydantic import BaseModel, ConfigDict, Field
 
 from kinedex.catalog.features import FeatureSet
 from kinedex.catalog.template_files import read_templates
+from kinedex.ops.arrays import F64
 from kinedex.ops.errors import KinedexError, did_you_mean
 from kinedex.ops.templates.derived_templates import joined
 from kinedex.ops.templates.templates import Kind, Learned, NamedTemplate
@@ -150,9 +150,6 @@ def completed(
     if not every:
         raise KinedexError("there is no template: no clip to learn from, and none in `template_files`")
     return sorted(every, key=lambda one: (one.subclass, kinds.index(one.kind)))
-
-
-F64 = npt.NDArray[np.float64]
 
 
 class Combination(BaseModel):

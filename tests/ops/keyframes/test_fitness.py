@@ -18,10 +18,10 @@ from kinedex.ops.keyframes.fitness import (
     training_frames,
 )
 from kinedex.ops.keyframes.training_task import Individual
+from kinedex.ops.ranges import from_axis
 from kinedex.ops.search.gaps import UNBOUNDED
 from kinedex.ops.search.inverted_lists import inverted_lists
 from kinedex.ops.search.keyframe_search import keyframe_list, search_lists
-from kinedex.ops.search.segments import from_axis
 from kinedex.ops.words import MOST_FEATURES, NO_WORD
 from tests.oracles import learning as naive
 

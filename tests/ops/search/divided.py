@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from kinedex.ops.ranges import TakeRanges
-from kinedex.ops.search.segments import from_axis
+from kinedex.ops.ranges import TakeRanges, from_axis
 from kinedex.ops.words import I64
 
 

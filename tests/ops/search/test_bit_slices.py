@@ -12,13 +12,13 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from kinedex.ops.errors import ParameterError
+from kinedex.ops.ranges import from_axis
 from kinedex.ops.search import bit_slice_search as slicesearch
 from kinedex.ops.search.bit_slice_search import search_slices
 from kinedex.ops.search.bit_slices import GRANULE, BitSlices, slice_words, unsliced_words
 from kinedex.ops.search.gaps import UNBOUNDED, gap_bounds
 from kinedex.ops.search.inverted_lists import InvertedLists, inverted_lists
 from kinedex.ops.search.keyframe_search import keyframe_list, search_lists
-from kinedex.ops.search.segments import from_axis
 from kinedex.ops.words import I64, NO_WORD, U64, bits, cut
 from tests.oracles.keyframes import ranges_by_enumeration, ranges_by_sets
 

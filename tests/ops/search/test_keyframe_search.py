@@ -12,10 +12,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from kinedex.ops.errors import ParameterError
+from kinedex.ops.ranges import from_axis, to_axis
 from kinedex.ops.search.gaps import UNBOUNDED, gap_bounds, nominal_gap
 from kinedex.ops.search.inverted_lists import InvertedLists, inverted_lists
 from kinedex.ops.search.keyframe_search import completable_frames, keyframe_list, search_lists
-from kinedex.ops.search.segments import from_axis, to_axis
 from kinedex.ops.words import I64, MOST_FEATURES, U64, cut
 from tests.oracles.keyframes import algorithm_1, all_hits, covered, ranges_by_enumeration, ranges_by_sets
 
