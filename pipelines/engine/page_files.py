@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from importlib import import_module
 from pathlib import Path
+from pkgutil import resolve_name
 from typing import Any
 
 from kinedex.ops.errors import KinedexError
@@ -42,6 +42,5 @@ def write_page(page: str, path: Path) -> int:
 
 def drawn_by(place: str) -> Callable[..., Any]:
     """Return the function that a text "module:name" names; the code digest of a stage with the text covers it."""
-    module, _, name = place.partition(":")
-    found: Callable[..., Any] = getattr(import_module(module), name)
+    found: Callable[..., Any] = resolve_name(place)
     return found

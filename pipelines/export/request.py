@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
-from importlib import import_module
 from os import PathLike
 from pathlib import Path
+from pkgutil import resolve_name
 from typing import TYPE_CHECKING, Literal
 
 from kinedex.ops.errors import KinedexError, ParameterError, did_you_mean
@@ -46,14 +46,12 @@ class Form:
     def write_joints(self, path: Path, motion: JointMotion) -> None:
         """Write a motion of joints to a file."""
         assert self.joints is not None
-        write: Callable[[Path, JointMotion], None] = _function(self.joints)
-        write(path, motion)
+        resolve_name(self.joints)(path, motion)
 
     def cut_channels(self, paths: Sequence[Path], cut: SourceCut) -> None:
         """Write an interval of a source's own channels, to one file for each of `endings`."""
         assert self.channels is not None
-        write: Callable[[Sequence[Path], SourceCut], None] = _function(self.channels)
-        write(paths, cut)
+        resolve_name(self.channels)(paths, cut)
 
 
 FORMS = {
@@ -93,12 +91,6 @@ def form_named(name: str) -> Form:
     if name not in FORMS:
         raise KinedexError(f"no export format '{name}'{did_you_mean(name, FORMS)}; there are {', '.join(FORMS)}")
     return FORMS[name]
-
-
-def _function(place: str) -> Callable[..., None]:
-    module, _, name = place.partition(":")
-    function: Callable[..., None] = getattr(import_module(module), name)
-    return function
 
 
 Kind = Literal["takes", "annotations", "labels", "hits", "ranges", "sql"]

@@ -123,6 +123,11 @@ def _nothing_left(store: Store, what: What, found: list[SelectedInterval], words
     return f"{store.path}: nothing to export: none of {counted(len(found), 'interval')} is {words}{hint}"
 
 
+def _require_inside(take: str, start: int, stop: int, length: int) -> None:
+    if not 0 <= start < stop <= length:
+        raise KinedexError(f"{take}[{start}:{stop}] is no interval of this take, which has frames 0 to {length}")
+
+
 def _inside(store: Store, found: Iterable[SelectedInterval]) -> list[SelectedInterval]:
     """Return distinct intervals, sorted; raise an error if one is not inside its take."""
     lengths = {name: store.take_frames[take_id] for name, take_id in store.take_ids.items()}
@@ -130,11 +135,7 @@ def _inside(store: Store, found: Iterable[SelectedInterval]) -> list[SelectedInt
     for one in sorted(found, key=lambda one: (one.place, -(one.confidence or 0.0))):
         if one.take not in lengths:
             raise KinedexError(f"no take is named '{one.take}'{did_you_mean(one.take, lengths)}")
-        if not 0 <= one.start < one.stop <= lengths[one.take]:
-            raise KinedexError(
-                f"{one.take}[{one.start}:{one.stop}] is no interval of this take, which has frames 0 to "
-                f"{lengths[one.take]}"
-            )
+        _require_inside(one.take, one.start, one.stop, lengths[one.take])
         once.setdefault(one.place, one)
     return list(once.values())
 
@@ -234,8 +235,7 @@ def _row(store: Store, row: dict[str, Any], origin: str) -> SelectedInterval:
     take = str(row["take"])
     length = store.take_frames[store.take_id(take)]
     start, stop = _frame(store, row.get("start"), "start", 0), _frame(store, row.get("stop"), "stop", length)
-    if not 0 <= start < stop <= length:
-        raise KinedexError(f"{take}[{start}:{stop}] is no interval of this take, which has frames 0 to {length}")
+    _require_inside(take, start, stop, length)
     label = row.get("class")
     more = {name: value for name, value in row.items() if name not in _KNOWN or name == "subclass"}
     confidence = row.get("confidence")

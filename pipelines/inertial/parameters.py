@@ -50,17 +50,12 @@ class EvaluateLimbErrorsParameters(StageParameters):
         "tiers such as A1:lshank); a path or glob; unless given, those of the simulated annotators where takes were "
         "broken, else the labels that the store keeps",
     )
-    taus: list[Degrees] = Field(
+    taus: Annotated[list[Degrees], AfterValidator(lambda taus: sorted({*taus}))] = Field(
         list(TAUS), min_length=1, max_length=1000, description="the thresholds in degrees that are evaluated"
     )
     printed: Annotated[str | None, NamesFile("printed")] = Field(
         None, description="a .yaml file of printed figures that stand beside ours, such as chapter7; none unless given"
     )
-
-    @field_validator("taus")
-    @classmethod
-    def _ascending(cls, taus: list[float]) -> list[float]:
-        return sorted(set(taus))
 
 
 class ReadImuParameters(StageParameters):
