@@ -27,6 +27,19 @@ if TYPE_CHECKING:
 
 THREADS_OF_LIBRARIES = ("NUMBA_NUM_THREADS", "POLARS_MAX_THREADS", "OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS")
 
+Item = TypeVar("Item")
+Result = TypeVar("Result")
+KINDS = ("serial", "processes", "dask")
+TRIES = 3
+"""The number of times that a task is started before the deaths of its workers count as its fault."""
+
+_CHECKS = 3
+ANSWER_SECONDS = 10.0
+"""The longest time to wait for the first answer of a Dask scheduler, in seconds."""
+
+PATIENCE_SECONDS = 60.0
+"""The longest time to wait for a Dask cluster without workers, or for a finished result, in seconds."""
+
 
 @contextmanager
 def ctrl_c_blocked() -> Iterator[None]:
@@ -62,23 +75,6 @@ def single_thread() -> None:
     """Limit libraries that would use all cores to one thread, because the worker processes already use all cores."""
     for name in THREADS_OF_LIBRARIES:
         os.environ[name] = "1"
-
-
-Item = TypeVar("Item")
-Result = TypeVar("Result")
-
-KINDS = ("serial", "processes", "dask")
-
-TRIES = 3
-"""The number of times that a task is started before the deaths of its workers count as its fault."""
-
-_CHECKS = 3
-
-ANSWER_SECONDS = 10.0
-"""The longest time to wait for the first answer of a Dask scheduler, in seconds."""
-
-PATIENCE_SECONDS = 60.0
-"""The longest time to wait for a Dask cluster without workers, or for a finished result, in seconds."""
 
 
 class WorkerDied(KinedexError):

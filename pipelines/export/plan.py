@@ -38,6 +38,12 @@ from kinedex.storage.store.store import Store
 if TYPE_CHECKING:
     from kinedex.catalog.skeletons.mappings import Mappings
 
+SAMPLE = 6
+"""The number of clips in a sample, for each kind of source."""
+
+MOST_FRAMES = 20_000
+"""The number of frames at which a sample ends; samples of videos end at a hundredth of it."""
+
 
 @dataclass(frozen=True)
 class Plan:
@@ -221,13 +227,6 @@ def _fingerprint(store: Store, clip: Clip, how: How, row: dict[str, Any], channe
         clip.mirrored, how.rate_hz, how.in_place,
     ]  # fmt: skip
     return hashlib.sha256(json.dumps(content).encode()).hexdigest()
-
-
-SAMPLE = 6
-"""The number of clips in a sample, for each kind of source."""
-
-MOST_FRAMES = 20_000
-"""The number of frames at which a sample ends; samples of videos end at a hundredth of it."""
 
 
 @dataclass(frozen=True)

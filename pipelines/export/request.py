@@ -17,6 +17,17 @@ if TYPE_CHECKING:
 
 _MOTION = "kinedex.storage.formats.motion"
 
+Kind = Literal["takes", "annotations", "labels", "hits", "ranges", "sql"]
+SPLITS = ("train", "val", "test")
+"""The names of splits, in the order of `How.shares`, which are also names of folders."""
+
+CLIPS = "clips"
+"""The folder of clips if there is no split."""
+
+SHARES = (0.8, 0.1, 0.1)
+FORBID = {"extra": "forbid", "strict": True}
+"""Settings of pydantic for requests from the explorer: unknown fields and values of other types are errors."""
+
 
 @dataclass(frozen=True)
 class Form:
@@ -91,20 +102,6 @@ def form_named(name: str) -> Form:
     if name not in FORMS:
         raise KinedexError(f"no export format '{name}'{did_you_mean(name, FORMS)}; there are {', '.join(FORMS)}")
     return FORMS[name]
-
-
-Kind = Literal["takes", "annotations", "labels", "hits", "ranges", "sql"]
-
-SPLITS = ("train", "val", "test")
-"""The names of splits, in the order of `How.shares`, which are also names of folders."""
-
-CLIPS = "clips"
-"""The folder of clips if there is no split."""
-
-SHARES = (0.8, 0.1, 0.1)
-
-FORBID = {"extra": "forbid", "strict": True}
-"""Settings of pydantic for requests from the explorer: unknown fields and values of other types are errors."""
 
 
 @dataclass(frozen=True)

@@ -38,6 +38,9 @@ if TYPE_CHECKING:
 
 _PAIRS = ("hip", "shoulder")
 
+CLIPS_A_TASK = 50
+"""The approximate number of clips of a task; after a kill, each worker writes at most as many again."""
+
 
 def clip_motion(frames: pa.Table, clip: Clip, how: How, features: FeatureSet, rate_hz: float) -> JointMotion:
     """Return the motion of a clip's joints.
@@ -319,7 +322,3 @@ def batches_of_jobs(
         if last and (len(batch) >= CLIPS_A_TASK or place + 1 == len(order)):
             yield Batch(store, folder, how, mappings, tuple(batch))
             batch = []
-
-
-CLIPS_A_TASK = 50
-"""The approximate number of clips of a task; after a kill, each worker writes at most as many again."""

@@ -27,6 +27,12 @@ from kinedex.storage.store.store import Store
 
 Names = npt.NDArray[np.str_]
 
+Calibrations = Mapping[tuple[int, str, str], Mapping[str, Any]]
+"""The rows of `sensor_calibration` with a mount, by take_id, recording and sensor."""
+
+_ANY = np.array([1.0, 0.0, 0.0])  # any axis gives the same whole angle
+ERRORS, RUNS = "limb_errors", "limb_error_runs"
+
 
 @dataclass(frozen=True, eq=False)
 class LimbCurve:
@@ -90,10 +96,6 @@ class TakeErrors:
     tau_deg: float
     runs: Mapping[str, tuple[list[Run], list[Run]]]
     left_out: list[str] = field(default_factory=list)
-
-
-Calibrations = Mapping[tuple[int, str, str], Mapping[str, Any]]
-"""The rows of `sensor_calibration` with a mount, by take_id, recording and sensor."""
 
 
 def take_errors(
@@ -177,14 +179,8 @@ def _curve(limb: LimbMotion, sensor: WornSensor, clock: Clock, row: Mapping[str,
     )  # fmt: skip
 
 
-_ANY = np.array([1.0, 0.0, 0.0])  # any axis gives the same whole angle
-
-
 def _values(row: Mapping[str, float]) -> F64:
     return np.array(list(row.values()))
-
-
-ERRORS, RUNS = "limb_errors", "limb_error_runs"
 
 
 def error_table(take_id: int, take: str, found: TakeErrors, run: str, fingerprint: str | None) -> pa.Table:

@@ -32,6 +32,9 @@ from kinedex.storage.store.store import Store
 _TRUNK = {"pelvis": ("root", "lhip", "rhip"), "torso": ("chest", "neck", "lshoulder", "rshoulder")}
 """The joints used as markers of a limb of the trunk that has neither a node nor markers."""
 
+KIND = "limb_orientations"
+_SUMS = [("take_id", "count"), ("jump", "sum")]
+
 
 @dataclass(frozen=True, eq=False)
 class LimbMotion:
@@ -180,9 +183,6 @@ def common_markers(markers: F64) -> F64:
     return np.ascontiguousarray(markers[:, kept])
 
 
-KIND = "limb_orientations"
-
-
 @dataclass(frozen=True, eq=False)
 class StoredLimbs:
     """The stored limbs of a take.
@@ -258,9 +258,6 @@ def limb_figures(store: Store, stage: str) -> LimbFigures:
             if row["jump_sum_sum"]:
                 jumped.add(row["take_id"])
     return LimbFigures(bases, sum(frames.values()), len(jumped))
-
-
-_SUMS = [("take_id", "count"), ("jump", "sum")]
 
 
 def _columns(one: LimbMotion) -> dict[str, pa.Array]:

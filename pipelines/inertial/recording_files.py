@@ -36,6 +36,11 @@ from kinedex.storage.snapshot.schemas import columns_table, result_schema, resul
 ENDINGS = (".txt", ".csv", ".tsv", ".parquet", ".h5", ".hdf5", ".mvnx")
 """The file extensions of sensor files."""
 
+_LONGEST_BRIDGE_S = 1.0
+_LARGEST_OFFSET = 0.05  # share of the field that the offset of a calibrated magnetometer may have
+_MOST_FILLED = 4
+"""The largest number of samples of the even grid per sample of the file; with larger gaps a recording is rejected."""
+
 
 @dataclass(frozen=True)
 class SensorRecording:
@@ -214,12 +219,6 @@ def stamps(paths: Iterable[Path]) -> list[tuple[str, int, int]]:
             raise KinedexError(f"{path}: cannot be read: {fault.strerror}") from None
         found.append((str(path), state.st_size, state.st_mtime_ns))
     return found
-
-
-_LONGEST_BRIDGE_S = 1.0
-_LARGEST_OFFSET = 0.05  # share of the field that the offset of a calibrated magnetometer may have
-_MOST_FILLED = 4
-"""The largest number of samples of the even grid per sample of the file; with larger gaps a recording is rejected."""
 
 
 @dataclass(frozen=True)

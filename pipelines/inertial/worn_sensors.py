@@ -26,6 +26,10 @@ from kinedex.storage.store.store import Store
 
 Pieces = Callable[[pa.Table], Iterable[pa.Table]]
 
+Value = TypeVar("Value")
+SYNC = "sensor_sync"
+"""The kind of results with the clocks of recordings."""
+
 
 class ReusedTakes:
     """The takes of a stage, divided into those whose rows are reused and those that are computed again.
@@ -118,12 +122,6 @@ def take_tables(kind: str, rows: Iterable[dict[str, Any]], takes: Iterable[int],
     for row in rows:
         own[row["take_id"]].append(row)
     return [result_table(kind, some, run) for some in own.values()]
-
-
-Value = TypeVar("Value")
-
-SYNC = "sensor_sync"
-"""The kind of results with the clocks of recordings."""
 
 
 @dataclass(frozen=True, eq=False)

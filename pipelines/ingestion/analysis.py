@@ -19,6 +19,21 @@ from kinedex.ops.words import NO_WORD
 from kinedex.storage.formats.motion.reader import Body
 from kinedex.storage.snapshot.schemas import TakeColumn, column_problem
 
+RECOGNITION_COLUMNS = {
+    "recognition_confidence": TakeColumn(
+        "DOUBLE", "quality", "", "how surely the body was recognised, 0 to 1; 1 where the names fit a mapping"
+    ),
+    "estimated_joints": TakeColumn(
+        "VARCHAR", "quality", "", "the joints that the file does not hold and that are estimated, with a blank between"
+    ),
+}
+"""The declarations of the columns that describe how a skeleton was recognised."""
+
+QUALITY_COLUMNS = RECOGNITION_COLUMNS | {
+    figure.name: TakeColumn(figure.type, "quality", figure.unit, figure.meaning) for figure in FIGURES
+}
+"""The declarations of the columns of recognition and of quality figures."""
+
 
 def analyse(body: Body, feature_set: FeatureSet, rate_hz: float) -> tuple[F64, F64, U64]:
     """Compute features at the rate of the source, and sample them at the analysis rate.
@@ -80,22 +95,6 @@ def blind(feature_set: FeatureSet, body: Body) -> list[str]:
 
 def _listed(features: Iterable[Feature]) -> str:
     return ", ".join(f"F{feature.number} {feature.name}" for feature in features)
-
-
-RECOGNITION_COLUMNS = {
-    "recognition_confidence": TakeColumn(
-        "DOUBLE", "quality", "", "how surely the body was recognised, 0 to 1; 1 where the names fit a mapping"
-    ),
-    "estimated_joints": TakeColumn(
-        "VARCHAR", "quality", "", "the joints that the file does not hold and that are estimated, with a blank between"
-    ),
-}
-"""The declarations of the columns that describe how a skeleton was recognised."""
-
-QUALITY_COLUMNS = RECOGNITION_COLUMNS | {
-    figure.name: TakeColumn(figure.type, "quality", figure.unit, figure.meaning) for figure in FIGURES
-}
-"""The declarations of the columns of recognition and of quality figures."""
 
 
 def figures_of(body: Body, joints: tuple[str, ...]) -> Plausibility:

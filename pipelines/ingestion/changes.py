@@ -42,6 +42,9 @@ from kinedex.storage.snapshot.schemas import RECORDED_FORMATS
 from kinedex.storage.store.verification import damaged_frames
 from kinedex.storage.store.writer import StoreWriter
 
+KIND = "files whose takes were removed (`kinedex takes readmit` reads them again)"
+"""The description of these files among those that an ingest skips."""
+
 
 @dataclass(frozen=True)
 class Changes:
@@ -312,10 +315,6 @@ def features_digest(feature_set: FeatureSet) -> str:
 def digest(parts: object) -> str:
     """Return a short hash of JSON values."""
     return hashlib.sha256(json.dumps(parts).encode()).hexdigest()[:16]
-
-
-KIND = "files whose takes were removed (`kinedex takes readmit` reads them again)"
-"""The description of these files among those that an ingest skips."""
 
 
 def removed_below(source: str | Path, manifest: Manifest | None) -> tuple[str, ...]:

@@ -19,6 +19,9 @@ from kinedex.storage.snapshot.schemas import RECORDED_FORMATS, result_schema
 Naming = Literal["stem", "path", "file"]
 """The rule for the name of a take: the stem of its file, its path without the extension, or its path."""
 
+_SCHEMA = result_schema("skeleton_files").remove(0)  # `run` is written by the store
+Row = dict[str, Any]
+
 
 def file_names(naming: Naming, path: str) -> tuple[str, ...]:
     """Return the names that the take of a file can have, the one by the given rule first.
@@ -104,9 +107,6 @@ class TakeNames:
         return None
 
 
-_SCHEMA = result_schema("skeleton_files").remove(0)  # `run` is written by the store
-
-
 class SkeletonSums:
     """The checksums of skeleton files; those of an earlier run are reused if path, size and modification time match."""
 
@@ -136,9 +136,6 @@ class SkeletonSums:
         others = {state: content for state, content in self._known.items() if state[0] not in here}
         rows = [(*state, content) for state, content in (others | self._found).items()]
         return pa.Table.from_pylist([dict(zip(_SCHEMA.names, row, strict=True)) for row in rows], schema=_SCHEMA)
-
-
-Row = dict[str, Any]
 
 
 def file_name(row: Mapping[str, Any]) -> str:

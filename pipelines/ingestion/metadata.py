@@ -42,6 +42,12 @@ NO_PATTERN = "its path matches no pattern of the config"
 
 _ORIGINS = ("pattern", "metadata")
 
+MEANING = "a column of the user's tables (`metadata` of ingest)"
+MOST_PATTERNS = 1000
+"""The largest number of keys with * or ? in all tables, as each is compared with every take."""
+
+_EXAMPLES = 2
+
 
 def described_columns(columns: Mapping[str, TakeColumn]) -> tuple[str, ...]:
     """Return the columns of takes that patterns and tables fill, given the declared columns of a store."""
@@ -137,12 +143,6 @@ def rows_below(rows: Sequence[Row], found: Scan, root: str) -> list[Row]:
     known = KnownFiles(rows)
     moved = (known.at_place(motion) for motion in found.motions)
     return here + [row for file in moved if file is not None and file.root != root for row in file.rows]
-
-
-MEANING = "a column of the user's tables (`metadata` of ingest)"
-
-MOST_PATTERNS = 1000
-"""The largest number of keys with * or ? in all tables, as each is compared with every take."""
 
 
 @dataclass
@@ -430,9 +430,6 @@ def _unnamed_key_lines(table: MetadataTable) -> list[str]:
         if near := difflib.get_close_matches(name.lower(), KEYS, 1):
             return [f"{line}; if '{name}' means '{near[0]}', rename it"]
     return [line]
-
-
-_EXAMPLES = 2
 
 
 def descriptions(params: IngestParameters, joined: Joined) -> Descriptions:

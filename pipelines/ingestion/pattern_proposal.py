@@ -20,6 +20,36 @@ _NUMBERED = re.compile(r"(.*?[^0-9])([0-9]+)")
 _CAMEL = re.compile(r"[A-Z]?[a-z]+|[A-Z]+(?![a-z])|[0-9]+")
 _WORDS = re.compile(r"[A-Z]?[a-z]+|[A-Z]+(?![a-z])")
 
+MOST_PATTERNS = 8
+"""The largest number of patterns in a proposal; paths of further layouts count as unmatched."""
+
+_MOTIONS = frozenset(
+    """
+    walk run jog jump hop skip leap kick punch box fight hit sit stand lie crouch squat kneel bend turn rotate spin
+    throw catch grab pick put place deposit lift carry push pull wave clap point reach raise shake nod bow dance salsa
+    climb crawl sneak march stroll strut limp step shuffle stop start idle rest sleep fall roll stretch swing swim cart
+    cartwheel handstand somersault flip bounce dribble shoot pass serve golf tennis basketball guide call byebye hello
+    respond greet talk phone eat drink wash sweep jacks jack lunge press gait balance motion action drive ride
+    """.split()
+)
+_STYLES = frozenset(
+    """
+    angry happy sad proud tired active exhausted elderly old young youthful child childlike normal neutral masculine
+    masculinity feminine femininity drunk depressed confident shy strong weak slow fast quick calm nervous sexy zombie
+    robot heavy light relaxed excited afraid scared giant musical limping injured stiff soft sneaky lazy style
+    """.split()
+)
+_PEOPLE = frozenset("s sub subj subject a actor p person participant performer perf vp proband player user id".split())
+_TRIALS = frozenset("take trial t clip rep repetition no nr number recording rec c r".split())
+_CODE_LETTERS = 3
+_REPEATED = 2
+_NEARLY = 0.8
+_SHARE = 0.3
+_RESERVED = frozenset(
+    """take_id name source source_root checksum source_bytes source_mtime_ns format skeleton skeleton_source recipe unit
+    source_rate_hz source_frames rate_hz frames seconds invalid_frames groups warnings known person persons""".split()
+)
+
 
 @dataclass(frozen=True)
 class Column:
@@ -195,33 +225,6 @@ def _alike(sets: Sequence[set[str]]) -> bool:
         return True
     largest = max(sets, key=len)
     return numbers == {False} and all(2 * len(values & largest) >= len(values) for values in sets)
-
-
-MOST_PATTERNS = 8
-"""The largest number of patterns in a proposal; paths of further layouts count as unmatched."""
-
-_MOTIONS = frozenset(
-    """
-    walk run jog jump hop skip leap kick punch box fight hit sit stand lie crouch squat kneel bend turn rotate spin
-    throw catch grab pick put place deposit lift carry push pull wave clap point reach raise shake nod bow dance salsa
-    climb crawl sneak march stroll strut limp step shuffle stop start idle rest sleep fall roll stretch swing swim cart
-    cartwheel handstand somersault flip bounce dribble shoot pass serve golf tennis basketball guide call byebye hello
-    respond greet talk phone eat drink wash sweep jacks jack lunge press gait balance motion action drive ride
-    """.split()
-)
-_STYLES = frozenset(
-    """
-    angry happy sad proud tired active exhausted elderly old young youthful child childlike normal neutral masculine
-    masculinity feminine femininity drunk depressed confident shy strong weak slow fast quick calm nervous sexy zombie
-    robot heavy light relaxed excited afraid scared giant musical limping injured stiff soft sneaky lazy style
-    """.split()
-)
-_PEOPLE = frozenset("s sub subj subject a actor p person participant performer perf vp proband player user id".split())
-_TRIALS = frozenset("take trial t clip rep repetition no nr number recording rec c r".split())
-_CODE_LETTERS = 3
-_REPEATED = 2
-_NEARLY = 0.8
-_SHARE = 0.3
 
 
 @dataclass(frozen=True)
@@ -430,12 +433,6 @@ def _free_name(column: Column, taken: set[str]) -> str:
     if name in _RESERVED:
         name = f"{name}_of_path"
     return next(one for one in (name, *(f"{name}{n}" for n in range(2, len(taken) + 3))) if one not in taken)
-
-
-_RESERVED = frozenset(
-    """take_id name source source_root checksum source_bytes source_mtime_ns format skeleton skeleton_source recipe unit
-    source_rate_hz source_frames rate_hz frames seconds invalid_frames groups warnings known person persons""".split()
-)
 
 
 def _why(layout: Layout, number: int, role: str) -> str:

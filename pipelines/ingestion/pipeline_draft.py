@@ -23,6 +23,43 @@ _VALUES = 5
 _EVERY = 4
 """If there is no column to divide by, each take whose number is divisible by this is held out."""
 
+MOST_VALUES = 12
+"""The largest number of values of a token that a comment lists."""
+
+_WIDEST = 110
+_STAGES = """
+  learn_templates:
+    params: {where: "${train}"}
+    # mirror: {kickLeft: kickRight}    # the clips of one class, mirrored, are examples of another
+
+  annotate:
+    params:
+      where: "${annotate}"
+      method: "${method}"
+      classes: "${classes}"
+
+  evaluate:
+    params: {source: "${source}"}
+    # ground_truth: "**/*.eaf"    # other label files; unless given, ground_truth.csv if there is one
+
+  report:
+"""
+
+_BY_CLASS = """
+  evaluate:
+    params: {ground_truth: class}    # the class of a take, which its path names, is that of all of its frames
+"""
+
+_SETTINGS = """
+  classes: own                # every value of `class` its own class; or a file of configs/classes, or a path
+  method: best                # or thesis; see docs/accuracy.md
+"""
+
+_FILTERS = """
+  train: class IS NOT NULL    # takes to learn from: a filter over the columns of `takes`
+  annotate: class IS NULL     # takes to annotate
+"""
+
 
 @dataclass(frozen=True)
 class Division:
@@ -96,45 +133,6 @@ def _held_out(classes: Sequence[str], values: Sequence[str]) -> list[str]:
         covered |= set(of_value[best])
         left -= of_value[best]
     return sorted(found) if 2 * len(covered) >= len(set(classes)) else []
-
-
-MOST_VALUES = 12
-"""The largest number of values of a token that a comment lists."""
-
-_WIDEST = 110
-
-_STAGES = """
-  learn_templates:
-    params: {where: "${train}"}
-    # mirror: {kickLeft: kickRight}    # the clips of one class, mirrored, are examples of another
-
-  annotate:
-    params:
-      where: "${annotate}"
-      method: "${method}"
-      classes: "${classes}"
-
-  evaluate:
-    params: {source: "${source}"}
-    # ground_truth: "**/*.eaf"    # other label files; unless given, ground_truth.csv if there is one
-
-  report:
-"""
-
-_BY_CLASS = """
-  evaluate:
-    params: {ground_truth: class}    # the class of a take, which its path names, is that of all of its frames
-"""
-
-_SETTINGS = """
-  classes: own                # every value of `class` its own class; or a file of configs/classes, or a path
-  method: best                # or thesis; see docs/accuracy.md
-"""
-
-_FILTERS = """
-  train: class IS NOT NULL    # takes to learn from: a filter over the columns of `takes`
-  annotate: class IS NULL     # takes to annotate
-"""
 
 
 def value_counts(token: Token, most: int) -> str:

@@ -30,6 +30,17 @@ from kinedex.storage.formats.motion.sources import UNREAD, Scan
 from kinedex.storage.snapshot.schemas import TakeColumn, column_problem, result_schema
 from kinedex.storage.store.writer import StoreWriter
 
+Result = TypeVar("Result")
+PIECES = 8
+"""The number of pieces into which a batch that fails is divided, to find the task that is the cause."""
+
+MEGABYTE = 1 << 20
+PERSON_COLUMNS = {
+    "person": TakeColumn("VARCHAR", "file", meaning="the person, of a file that holds several"),
+    "persons": TakeColumn("BIGINT", "file", meaning="the number of persons in the file, where it holds several"),
+}
+"""The columns of takes that a store declares for files with several persons."""
+
 
 class Divisible(Protocol):
     """Protocol of a batch: a dataclass with tasks, and everything that its work needs."""
@@ -43,10 +54,6 @@ class Divisible(Protocol):
 
 
 Work = TypeVar("Work", bound=Divisible)
-Result = TypeVar("Result")
-
-PIECES = 8
-"""The number of pieces into which a batch that fails is divided, to find the task that is the cause."""
 
 
 def run_batches(
@@ -111,15 +118,6 @@ def run_batches(
 def _pieces(batch: Work) -> list[Work]:
     size = -(-len(batch.tasks) // PIECES)
     return [replace(batch, tasks=batch.tasks[start : start + size]) for start in range(0, len(batch.tasks), size)]
-
-
-MEGABYTE = 1 << 20
-
-PERSON_COLUMNS = {
-    "person": TakeColumn("VARCHAR", "file", meaning="the person, of a file that holds several"),
-    "persons": TakeColumn("BIGINT", "file", meaning="the number of persons in the file, where it holds several"),
-}
-"""The columns of takes that a store declares for files with several persons."""
 
 
 @dataclass

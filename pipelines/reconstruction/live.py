@@ -68,6 +68,11 @@ _DRAWN_M, _DRAWN_PX = 2.5, 160  # the distance of a drawn figure, and the width 
 USUAL_HZ = 30.0
 """The assumed frames per second of a camera that does not state its rate."""
 
+STAGE = "depth/live"
+"""The stage of results of live cameras, which runs over recordings leave unchanged."""
+
+_MOST_LETTERS = 80
+
 
 def newest_database(store: Store) -> PoseDatabase:
     """Return the newest pose database of a store; if it has none, build one from its takes with a class.
@@ -293,12 +298,6 @@ class LiveTracker:
         self._scene = make_scene(camera, self.background, placement, self.stride)
         self._tracker = reconstructor_of(load_body(), self.bones, self.database, self._scene, self.settings)
         return True
-
-
-STAGE = "depth/live"
-"""The stage of results of live cameras, which runs over recordings leave unchanged."""
-
-_MOST_LETTERS = 80
 
 
 @dataclass(eq=False)

@@ -48,6 +48,12 @@ _PIECE_ROWS = 5000
 SKELETON = "depth"
 """The name that reconstructed takes have in place of a skeleton mapping."""
 
+EXPLAINED = (
+    "take", "source_frame", "direction", "hypothesis", "candidate", "archive_take", "archive_frame", "ends", "ends_m",
+    "distance_m", "lookup_cost", "trial_cost", "cost", "winner",
+)  # fmt: skip
+"""The columns of `depth_votes` that a command shows."""
+
 
 @dataclass(frozen=True, eq=False)
 class ReconstructedTake:
@@ -280,13 +286,6 @@ def _parts(cost: PoseCost) -> dict[str, float]:
 
 def _number(value: float) -> float | None:
     return float(value) if np.isfinite(value) else None
-
-
-EXPLAINED = (
-    "take", "source_frame", "direction", "hypothesis", "candidate", "archive_take", "archive_frame", "ends", "ends_m",
-    "distance_m", "lookup_cost", "trial_cost", "cost", "winner",
-)  # fmt: skip
-"""The columns of `depth_votes` that a command shows."""
 
 
 def explained_votes(

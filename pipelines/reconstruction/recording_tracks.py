@@ -36,6 +36,41 @@ _CANDIDATE = [
     ("number", "<i4"), ("map", "i1", (5,)), ("sum", "<f8"),
 ]  # fmt: skip
 
+STRIDE_FRAMES = 10
+"""The number of frames by which the stride is chosen."""
+
+_COARSE_PX = 160  # the width of the images in which a person is first searched
+FORWARD, BACKWARD = 0, 1
+DIRECTIONS = ("forward", "backward")
+"""The names of the directions in results."""
+
+MISSING, MOVED, NOBODY = "no image", "camera moved", "nobody"
+PEOPLE, CUT, LYING, TURNED = "several people", "cut off", "lying", "turned away"
+REMARKS = {
+    MISSING: "{frames} without an image, missing or damaged: {numbers}",
+    MOVED: "the camera seems to have moved, since much lies behind the background; {frames} not used: {numbers}",
+    NOBODY: "nobody is seen in {frames}: {numbers}",
+    PEOPLE: "several people are seen in {frames}, and the one nearest to the last pose is tracked: {numbers}",
+    CUT: "the image's border cuts the body off in {frames}, where joints are guessed: {numbers}",
+    LYING: "the person lies or crouches in {frames}, where errors are larger: {numbers}",
+    TURNED: "the person faces more than 45° away from the camera in {frames}, where errors are larger: {numbers}",
+}
+"""The kinds of remarks on frames, each with the sentence that lists the frames."""
+
+NEAR_BORDER_PX = 1
+"""The distance, in pixels, of a body from the image border up to which it counts as cut off."""
+
+LYING_SHARE = 0.4
+"""A person lies or crouches if the joints are within a layer less high than this share of the standing height."""
+
+TURNED_DEGREES = 45.0
+"""The angle, in degrees, between facing direction and camera above which a person counts as turned away."""
+
+MOST_COST_M = 0.1
+"""The median cost of poses, in metres, above which a body fits badly; 3 to 6 cm are typical."""
+
+_MOST_RANGES = 8
+
 
 def _layout(candidates: int) -> np.dtype[np.void]:
     """Return the fields of the record of a frame with at most this number of candidates."""
@@ -142,12 +177,6 @@ class FrameRecords(Sequence[FrameResult | None]):
         )  # fmt: skip
 
 
-STRIDE_FRAMES = 10
-"""The number of frames by which the stride is chosen."""
-
-_COARSE_PX = 160  # the width of the images in which a person is first searched
-
-
 class UnusableRecording(KinedexError):
     """A recording cannot be reconstructed because of one key in its file.
 
@@ -162,11 +191,6 @@ class UnusableRecording(KinedexError):
     def __init__(self, key: str, message: str) -> None:
         super().__init__(message)
         self.key = key
-
-
-FORWARD, BACKWARD = 0, 1
-DIRECTIONS = ("forward", "backward")
-"""The names of the directions in results."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -412,35 +436,6 @@ def _results(tracker: Reconstructor, images: Iterable[tuple[int, F32 | None]], f
         else:
             found.append(tracker.step(image))
     return found
-
-
-MISSING, MOVED, NOBODY = "no image", "camera moved", "nobody"
-PEOPLE, CUT, LYING, TURNED = "several people", "cut off", "lying", "turned away"
-
-REMARKS = {
-    MISSING: "{frames} without an image, missing or damaged: {numbers}",
-    MOVED: "the camera seems to have moved, since much lies behind the background; {frames} not used: {numbers}",
-    NOBODY: "nobody is seen in {frames}: {numbers}",
-    PEOPLE: "several people are seen in {frames}, and the one nearest to the last pose is tracked: {numbers}",
-    CUT: "the image's border cuts the body off in {frames}, where joints are guessed: {numbers}",
-    LYING: "the person lies or crouches in {frames}, where errors are larger: {numbers}",
-    TURNED: "the person faces more than 45° away from the camera in {frames}, where errors are larger: {numbers}",
-}
-"""The kinds of remarks on frames, each with the sentence that lists the frames."""
-
-NEAR_BORDER_PX = 1
-"""The distance, in pixels, of a body from the image border up to which it counts as cut off."""
-
-LYING_SHARE = 0.4
-"""A person lies or crouches if the joints are within a layer less high than this share of the standing height."""
-
-TURNED_DEGREES = 45.0
-"""The angle, in degrees, between facing direction and camera above which a person counts as turned away."""
-
-MOST_COST_M = 0.1
-"""The median cost of poses, in metres, above which a body fits badly; 3 to 6 cm are typical."""
-
-_MOST_RANGES = 8
 
 
 def frame_remarks(track: RecordingTrack, scene: Scene, height_m: float) -> list[tuple[str, ...]]:

@@ -26,6 +26,11 @@ from kinedex.storage.store.store import Store, open_store
 from kinedex.storage.store.verification import damaged_frames
 from kinedex.storage.store.writer import StoreWriter
 
+MADE_KINDS = ("tracks", "reconstructions")
+"""The kinds of results that have a row for each take made from a recording."""
+
+COMPILING = "kernels are compiled, once after an installation or update: this takes a minute or two"
+
 
 def put_beside(
     writer: StoreWriter,
@@ -80,10 +85,6 @@ def earlier_rows(store: Store, kind: str, stage: str) -> list[dict[str, object]]
         return []  # repair removes unreadable rows, and the stage makes all of them again
 
 
-MADE_KINDS = ("tracks", "reconstructions")
-"""The kinds of results that have a row for each take made from a recording."""
-
-
 def stages_of_takes(store: Store, take_ids: Collection[int]) -> set[str]:
     """Return the stages, as "<pipeline>/<stage>", that have made takes from recordings."""
     return {
@@ -117,9 +118,6 @@ def are_takes_there(store: Store, kind: str, uses: str) -> bool:
         if part.stage in records and records[part.stage].summary.get("uses") == uses
     }
     return all(row["take_id"] in live for stage in stages for row in earlier_rows(store, kind, stage))
-
-
-COMPILING = "kernels are compiled, once after an installation or update: this takes a minute or two"
 
 
 @dataclass(frozen=True)

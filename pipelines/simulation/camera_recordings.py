@@ -46,6 +46,9 @@ FAILURES = "failures.csv"
 
 _ARM, _LEG = ("elbow", "wrist"), ("hip", "knee", "ankle", "toes")
 
+MASK_PART = 2
+"""The factor by which masks are smaller than the images, if it divides width and height."""
+
 
 @dataclass(frozen=True)
 class Request:
@@ -208,10 +211,6 @@ def _add_failures(path: Path, name: str, made: SimulatedRecording) -> None:
         for one in made.failures:
             cameras = " ".join(f"cam{camera + 1}" for camera in one.cameras)
             table.writerow([name, one.start, one.stop, one.kind, one.limb, cameras])
-
-
-MASK_PART = 2
-"""The factor by which masks are smaller than the images, if it divides width and height."""
 
 
 def camera_names(count: int) -> list[str]:

@@ -36,6 +36,13 @@ from kinedex.storage.store.store import Store
 LEAST_SHARE = 0.5
 """The fraction of a window above which the class that covers most of it becomes its class."""
 
+RECORDINGS = "recordings"
+"""The folder of a data set that contains a folder for each take."""
+
+README, DATASET, SENSORS = "README.md", "dataset.yaml", "sensors.yaml"
+SEGMENTS, WINDOWS, TRUTH = "segments.csv", "windows.csv", "truth/sensors.csv"
+"""The files of a data set beside this folder."""
+
 
 @dataclass(frozen=True)
 class ClassTime:
@@ -127,14 +134,6 @@ def window_rows(
         clear = best >= 0 and shares[best] > LEAST_SHARE
         found.append((start, start + width, classes[best] if clear else "", float(shares[best]) if best >= 0 else 0.0))
     return found
-
-
-RECORDINGS = "recordings"
-"""The folder of a data set that contains a folder for each take."""
-
-README, DATASET, SENSORS = "README.md", "dataset.yaml", "sensors.yaml"
-SEGMENTS, WINDOWS, TRUTH = "segments.csv", "windows.csv", "truth/sensors.csv"
-"""The files of a data set beside this folder."""
 
 
 @dataclass(frozen=True)

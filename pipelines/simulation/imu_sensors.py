@@ -24,6 +24,10 @@ SHORT_GAP_S = 0.1
 FASTEST_M_S = 25.0
 """The speed of a limb, in m/s, above which two clips must have been joined there."""
 
+RANDOM = "random"
+MOUNTS = (RANDOM, "limb")
+"""The ways in which sensors are mounted."""
+
 
 @dataclass(frozen=True, eq=False)
 class LimbPiece:
@@ -148,11 +152,6 @@ def _glued(times: F64, position: F64) -> Bool:
     found[:-1] |= fast
     found[1:] |= fast
     return found
-
-
-RANDOM = "random"
-MOUNTS = (RANDOM, "limb")
-"""The ways in which sensors are mounted."""
 
 
 @dataclass(frozen=True)

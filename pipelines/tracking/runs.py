@@ -63,6 +63,9 @@ NO_LOCOMOTION = (
     "--classes FILE, `classes:` of a pipeline"
 )
 
+STAGE = "stabilise/stabilise"
+"""The stage of the results: that of the shipped pipeline, so that pipeline and command share results."""
+
 
 def observe(writer: StoreWriter, params: ObserveParameters, place: Place) -> Outcome:
     """Read new and changed recordings, commit each, and return the outcome.
@@ -279,10 +282,6 @@ def _motion_parts(motion: Motion) -> Iterable[object]:
 def are_kernels_compiled() -> bool:
     """Return whether the kernels of the tracker are compiled on disk; True if numba is disabled."""
     return is_compiled(solve_band)
-
-
-STAGE = "stabilise/stabilise"
-"""The stage of the results: that of the shipped pipeline, so that pipeline and command share results."""
 
 
 @dataclass(frozen=True)

@@ -34,6 +34,18 @@ TRACKED, STABILISED = "_tracked", "_stabilised"
 UNSEEN_S = 0.5
 """The gap, in seconds, above which frames that no camera has seen are invalid."""
 
+TRACK_KINDS: Sequence[str] = ("tracks", "chain_poses", "track_frames", "track_cameras")
+"""The kinds of results of a tracked take; a stabilised one also has `priors`."""
+
+LIMBS = tuple(side + name for name in ("hip", "knee", "ankle", "shoulder", "elbow", "wrist") for side in "lr")
+"""The joints that are compared."""
+
+FAILURES = "failures.csv"
+"""A table beside a truth file, with columns recording, start, stop: intervals where a simulated detector fails."""
+
+SENSORS, LIMB = "sensors", "limb"
+"""The reference of evaluations by sensors (also the scope of all limbs together), and the scope of a single limb."""
+
 
 @dataclass(frozen=True, eq=False)
 class Track:
@@ -299,17 +311,6 @@ def _lists(values: F64) -> pa.Array:
     return pa.ListArray.from_arrays(pa.array(offsets, pa.int32()), pa.array(flat.ravel()))
 
 
-TRACK_KINDS: Sequence[str] = ("tracks", "chain_poses", "track_frames", "track_cameras")
-"""The kinds of results of a tracked take; a stabilised one also has `priors`."""
-
-
-LIMBS = tuple(side + name for name in ("hip", "knee", "ankle", "shoulder", "elbow", "wrist") for side in "lr")
-"""The joints that are compared."""
-
-FAILURES = "failures.csv"
-"""A table beside a truth file, with columns recording, start, stop: intervals where a simulated detector fails."""
-
-
 def truth_reference(store: Store, truth: str, folder: Path, recording: str | None) -> Truth:
     """Return the truth of a recording.
 
@@ -409,10 +410,6 @@ def poses_of(store: Store, stage: str, take_id: int) -> pa.Table:
     """Return the rows of `chain_poses` that a stage has stored for a take."""
     found = store.rows_of("chain_poses", stage, "take_id", [take_id])
     return found.take(pc.sort_indices(found, [("source_frame", "ascending")]))
-
-
-SENSORS, LIMB = "sensors", "limb"
-"""The reference of evaluations by sensors (also the scope of all limbs together), and the scope of a single limb."""
 
 
 def judged_by_sensors(store: Store, stage: str, take_ids: Collection[int]) -> list[dict[str, Any]]:

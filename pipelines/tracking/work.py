@@ -44,6 +44,8 @@ _USUAL_M = {
 }  # fmt: skip
 _USUAL_HIP = (0.1, -0.08, 0.0)
 
+ESTIMATE = "estimate"
+
 
 def usual_body() -> ChainBody:
     """Return a default body for stores without a take of any actor."""
@@ -133,9 +135,6 @@ def body_of_places(places: F64, mean: ChainBody) -> ChainBody:
         joints = np.flatnonzero(shown.any(axis=0))
         seen = np.where(shown[:, joints], 3, 0)
         return estimate_body(mean.chain, places[:, joints], seen, joints, mean).body
-
-
-ESTIMATE = "estimate"
 
 
 @dataclass(frozen=True, eq=False)
