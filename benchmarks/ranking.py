@@ -21,8 +21,7 @@ from kinedex.ops.distances.costs import cost_table, encode, lay_out
 from kinedex.ops.distances.dtw import distance_curves
 from kinedex.ops.distances.pruning import CoarseBound, coarse_bounds, fine_bound, pieces_below
 from kinedex.ops.distances.recurrence import COARSE_CAP
-from kinedex.ops.distances.stripes import BLOCK
-from kinedex.ops.distances.sweep import CAP
+from kinedex.ops.distances.sweep import BLOCK, CAP
 from kinedex.ops.ranking.ranking import rank, rank_together
 from kinedex.ops.templates.templates import QuantisedTemplate, learn_soft, quantise
 from kinedex.ops.words import TakeWords, bits

@@ -1,6 +1,6 @@
 """`python -m benchmarks.recurrence`: the recurrence in 8 bits as `coarse_path_cost` has it, and as `path_cost` would.
 
-Both kernels go over the rows of `ops.distances.stripes` for 20 templates of 250 columns.
+Both kernels go over the rows of `ops.distances.sweep` for 20 templates of 250 columns.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from benchmarks.harness import Figure, calibrate, seconds, show
 from kinedex.console.terminal import make_console
 from kinedex.ops.arrays import U8
 from kinedex.ops.distances.recurrence import COARSE_CAP, coarse_path_cost
-from kinedex.ops.distances.stripes import SLOTS, aligned_bytes
+from kinedex.ops.distances.sweep import SLOTS, aligned_bytes
 
 ROWS, FRAMES, WORDS = 80, 20_000, 500
 

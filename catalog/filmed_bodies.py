@@ -17,7 +17,7 @@ from kinedex.ops.arrays import F64, I64
 from kinedex.ops.body.joint_tree import JOINTS
 from kinedex.ops.depth.cones import ConeBody
 from kinedex.ops.errors import ConfigError, did_you_mean
-from kinedex.ops.simulation.depth_flesh import REFERENCE_HEIGHT_M, Clothes, Flesh
+from kinedex.ops.simulation.depth_rays import REFERENCE_HEIGHT_M, Clothes, Flesh
 from kinedex.ops.simulation.depth_sensors import Disturbance
 
 KIND = "bodies/filmed"

@@ -22,7 +22,7 @@ import numpy as np
 from pydantic import BaseModel, ConfigDict, Field
 
 from kinedex.catalog.configs import Located, config_path, load_yaml
-from kinedex.ops.inertial.noise import ChannelErrors, Grade
+from kinedex.ops.inertial.sensor_model import ChannelErrors, Grade
 
 _Size = Annotated[float, Field(ge=0.0, le=1e6, allow_inf_nan=False)]
 

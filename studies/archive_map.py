@@ -26,9 +26,8 @@ from sklearn.neighbors import NearestNeighbors, kneighbors_graph
 from threadpoolctl import threadpool_limits
 
 from kinedex.ops.arrays import F64, I64
-from kinedex.ops.maps.clusters import LEAST, map_clusters
 from kinedex.ops.maps.interval_numbers import interval_numbers, standardised
-from kinedex.ops.maps.layout import map_layout
+from kinedex.ops.maps.layout import LEAST, map_clusters, map_layout
 from kinedex.pipelines.evaluation.markdown import grid
 from kinedex.pipelines.search.bit_slices import stored_words
 from kinedex.storage.store.store import Store, open_store

@@ -23,7 +23,7 @@ from kinedex.catalog.depth_cameras import DepthCamera
 from kinedex.catalog.filmed_bodies import KIND, load_filmed_body
 from kinedex.ops.body.joint_tree import JOINTS
 from kinedex.ops.depth.pose_database import bone_directions, bone_lengths_of, thin_poses
-from kinedex.ops.simulation import depth_flesh
+from kinedex.ops.simulation import depth_rays
 from kinedex.ops.simulation.depth_sensors import SENSORS
 from kinedex.ops.words import NO_WORD
 from kinedex.pipelines.simulation.depth_recordings import film_take, write_recording
@@ -217,7 +217,7 @@ def film_set(clips: Sequence[Clip], bones: Mapping[str, F64], film: Film) -> lis
 
 def _digest(body: str) -> str:
     """Return a digest of what recordings are made with."""
-    sources = sorted(Path(depth_flesh.__file__).parent.glob("depth_*.py"))
+    sources = sorted(Path(depth_rays.__file__).parent.glob("depth_*.py"))
     files = [*sources, shipped_configs() / KIND / f"{body}.yaml", shipped_configs() / "bodies" / "cones20.yaml"]
     return hashlib.sha256(b"".join(file.read_bytes() for file in files)).hexdigest()[:12]
 

@@ -12,9 +12,8 @@ import numpy.typing as npt
 from kinedex.ops.evaluation.metrics import pooled
 from kinedex.ops.inertial.hand_eye import DOUBTFUL
 from kinedex.ops.inertial.limb_orientation import NONE
-from kinedex.ops.inertial.noise import generator
 from kinedex.ops.inertial.rotations import conjugate, distance_deg, exp, log, multiply, rotate
-from kinedex.ops.inertial.sensor_model import centred_acceleration
+from kinedex.ops.inertial.sensor_model import centred_acceleration, generator
 from kinedex.pipelines.inertial.limb_error_curves import LimbCurve
 from kinedex.pipelines.inertial.limb_motion import LimbMotion
 from kinedex.pipelines.inertial.parameters import CalibrateParameters

@@ -21,13 +21,14 @@ from kinedex.catalog.limbs import LIMBS
 from kinedex.catalog.skeletons.mappings import load_mappings
 from kinedex.ops.errors import KinedexError
 from kinedex.ops.inertial.limb_orientation import HINGE
-from kinedex.ops.inertial.noise import generator, measured
 from kinedex.ops.inertial.orientation_filter import TO_NORTH_WEST_UP
 from kinedex.ops.inertial.rotations import conjugate, distance_deg, interpolate, multiply, rotate
 from kinedex.ops.inertial.sensor_model import (
     SensorMotion,
     field_in_sensor,
+    generator,
     magnetic_field,
+    measured,
     sensor_motion,
     smooth,
     specific_force,

@@ -1,6 +1,7 @@
 """Skeleton mappings turn the joints of a source's skeleton into the named joints that features refer to.
 
 `WatchedMappings` record a reader's last request, so that a mapping can be proposed for a file that is rejected.
+Mappings and vocabularies of names that users wrote are added to the shipped ones.
 """
 
 from __future__ import annotations
@@ -19,21 +20,23 @@ from typing import Any, Literal
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 
-from kinedex.catalog.configs import Located, config_names, config_path, load_yaml
+from kinedex.catalog.configs import Located, config_names, config_path, load_yaml, parse_yaml, read_text
 from kinedex.catalog.skeletons.evidence import Evidence
-from kinedex.catalog.skeletons.recognition.landmarks import Landmarks
-from kinedex.catalog.skeletons.recognition.names import LONGEST_PREFIX, Vocabulary
+from kinedex.catalog.skeletons.recognition.landmarks import Landmarks, landmarks_with
+from kinedex.catalog.skeletons.recognition.names import LONGEST_PREFIX, Vocabulary, load_vocabulary, parse_vocabulary
 from kinedex.catalog.skeletons.recognition.points import recognise_points
 from kinedex.catalog.skeletons.recognition.recognised_tree import recognise_tree
 from kinedex.catalog.skeletons.skeleton_fit import Axis, Fit, Format, LimbEntry, Mix, SkeletonMapping, limb_sources
 from kinedex.ops.arrays import F64
 from kinedex.ops.body.joint_tree import JOINT_PARENTS
-from kinedex.ops.errors import SourceError, did_you_mean
+from kinedex.ops.errors import ConfigError, SourceError, did_you_mean
 
 __all__ = ["Fit", "Format", "Mappings", "Mix", "SkeletonMapping", "load_mappings", "load_skeleton", "stripping"]
 
 
 _WAY_OUT = "write one with `kinedex mapping new FILE -o my.yaml`, and give it by `skeletons`"
+
+ENDINGS = (".yaml", ".yml")
 
 
 class _Aside(BaseModel):
@@ -498,3 +501,138 @@ class WatchedMappings(Mappings):
         self.question.form, self.question.evidence = form, evidence
         self.question.fit = super().recognised(source, form, evidence)
         return self.question.fit
+
+
+@dataclass(frozen=True)
+class OwnFile:
+    """A file with a mapping or a vocabulary that a user wrote.
+
+    Attributes
+    ----------
+    path : Path
+        The file, which errors name.
+    text : str
+        Its content.
+    stored : bool
+        True if a store holds it; a file of the same name that the user gives overrides it.
+    """
+
+    path: Path
+    text: str
+    stored: bool = False
+
+
+def own_files(places: Iterable[str | Path]) -> tuple[OwnFile, ...]:
+    """Read files with mappings or vocabularies that a user wrote.
+
+    Parameters
+    ----------
+    places : iterable of path
+        YAML files, and folders whose YAML files are all read.
+
+    Raises
+    ------
+    ConfigError
+        There is no such file or folder, or a folder holds no YAML file.
+    """
+    found: list[Path] = []
+    for place in (Path(one).expanduser() for one in places):
+        if place.is_dir():
+            inside = sorted(path for path in place.iterdir() if path.suffix.lower() in ENDINGS)
+            if not inside:
+                raise ConfigError(place, "the folder holds no .yaml file; expected skeleton mappings")
+            found += inside
+        elif place.is_file():
+            found.append(place)
+        else:
+            raise ConfigError(place, "no such file or folder; expected a skeleton mapping, or a folder of them")
+    return tuple(OwnFile(path, read_text(path)) for path in dict.fromkeys(found))
+
+
+def with_own(mappings: Mappings, files: Iterable[OwnFile], joints: tuple[str, ...]) -> Mappings:
+    """Add mappings and vocabularies that a user wrote to the mappings of an archive.
+
+    Parameters
+    ----------
+    mappings : Mappings
+        The mappings of an archive, by `load_mappings`.
+    files : iterable of OwnFile
+        Mappings, which are preferred to all others if their names fit, and vocabularies, whose names are added to the
+        shipped ones.
+    joints : tuple of str
+        The named joints of the feature set.
+
+    Raises
+    ------
+    ConfigError
+        A file is neither, or is invalid, or two of the files have the same name.
+    """
+    own: dict[Format, tuple[SkeletonMapping, ...]] = {}
+    vocabularies: list[Vocabulary] = []
+    labels: list[Located] = []
+    digests: list[str] = []
+    names: dict[str, Path] = {}
+    for file in sorted(files, key=lambda one: one.stored):
+        found = parse_own(file, joints)
+        if found.name in names:
+            if file.stored:
+                continue
+            taken = names[found.name]
+            raise ConfigError(file.path, f"{taken} has the name '{found.name}', too; rename one", key="name")
+        names[found.name] = file.path
+        if not isinstance(found.content, SkeletonMapping):
+            vocabularies += [found.content] if isinstance(found.content, Vocabulary) else []
+            labels += [found.content] if isinstance(found.content, Located) else []
+            digests.append(hashlib.sha256(file.text.encode()).hexdigest()[:16])
+        elif found.content.format not in mappings.forced:
+            own[found.content.format] = (*own.get(found.content.format, ()), found.content)
+    vocabulary = load_vocabulary("joints").merged(vocabularies) if vocabularies else None
+    landmarks = landmarks_with(labels) if labels else None
+    return replace(mappings, own=own, vocabulary=vocabulary, landmarks=landmarks, vocabulary_digest=" ".join(digests))
+
+
+@dataclass(frozen=True)
+class Own:
+    """A mapping or vocabulary that a user wrote, parsed.
+
+    Attributes
+    ----------
+    name : str
+        Its name.
+    content : SkeletonMapping, Vocabulary or Located
+        Its content; labels of landmarks stay parsed YAML.
+    """
+
+    name: str
+    content: SkeletonMapping | Vocabulary | Located
+
+
+def parse_own(file: OwnFile, joints: tuple[str, ...]) -> Own:
+    """Parse a mapping or vocabulary that a user wrote.
+
+    Parameters
+    ----------
+    file : OwnFile
+        The file.
+    joints : tuple of str
+        The named joints of the feature set.
+
+    Raises
+    ------
+    ConfigError
+        The file is neither a mapping nor a vocabulary of names or labels, or it is invalid.
+    """
+    located = parse_yaml(file.text, file.path)
+    keys = located.mapping()
+    if "terms" in keys:
+        vocabulary = parse_vocabulary(located, tuple(load_vocabulary("joints").terms))
+        return Own(str(keys.get("name") or file.path.stem), vocabulary)
+    if {"skin", "centres"} & keys.keys():
+        landmarks_with([located])
+        return Own(str(keys.get("name") or file.path.stem), located)
+    if "joints" not in keys:
+        raise located.error(
+            "expected a skeleton mapping (`joints`), names of nodes (`terms`) or labels of markers (`skin`, `centres`)"
+        )
+    mapping = parse_skeleton(located, joints)
+    return Own(mapping.name, mapping)

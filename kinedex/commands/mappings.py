@@ -61,7 +61,7 @@ def add(
     Every ingest adds them to the shipped ones; where the names of a file fit, they go first. A vocabulary of names is
     added to the shipped one. One of the same name takes the place of the earlier one.
     """
-    from kinedex.catalog.skeletons.own_mappings import own_files, parse_own
+    from kinedex.catalog.skeletons.mappings import own_files, parse_own
     from kinedex.storage.store.store import open_store
     from kinedex.storage.store.writer import StoreWriter
 
@@ -82,8 +82,7 @@ def add(
 @command(of=mapping, name="list")
 def list_mappings(store: StorePath, as_json: JsonOption = False) -> None:
     """List the mappings and vocabularies that a store keeps."""
-    from kinedex.catalog.skeletons.mappings import SkeletonMapping
-    from kinedex.catalog.skeletons.own_mappings import parse_own
+    from kinedex.catalog.skeletons.mappings import SkeletonMapping, parse_own
     from kinedex.pipelines.ingestion.parameters import stored_files
     from kinedex.storage.store.store import open_store
 

@@ -15,7 +15,6 @@ import numpy as np
 from numba import njit
 
 from kinedex.ops.arrays import F64, I64, Bool
-from kinedex.ops.body.left_right import left_right, side_agreement
 from kinedex.ops.body.motion_faults import MotionFaults, motion_faults
 from kinedex.ops.body.tempo import tempo
 from kinedex.ops.body.up_axis import (
@@ -26,8 +25,10 @@ from kinedex.ops.body.up_axis import (
     HIPS,
     SURE,
     least_leads,
+    left_right,
     point_spreads,
     posture_shares,
+    side_agreement,
     up_axis,
 )
 from kinedex.ops.copies import copy_table

@@ -3,7 +3,8 @@
 The unknowns of a step are a displacement of the body and a small rotation of every pivot. Each image point pulls the
 nearest surface point along its normal, or the side towards the camera where that point faces away; surface samples that
 project outside the foreground are pulled towards it. In the form printed in the thesis, all samples are pulled to their
-points, and there are no other terms.
+points, and there are no other terms. The cost of a pose, by which the vote chooses one of several poses in a frame, is
+computed in the same arrays (thesis, 8.4.4).
 """
 
 from __future__ import annotations
@@ -29,7 +30,7 @@ from kinedex.ops.depth.cones import (
     place_samples,
     seen_side,
     turn_pose,
-)  # fmt: skip
+)
 from kinedex.ops.depth.image_search import DepthView, FrameImage, closest_point, is_hidden, project_samples
 from kinedex.ops.depth.nearest_pixels import nearest_pixels
 from kinedex.ops.depth.normal_equations import (
@@ -43,7 +44,7 @@ from kinedex.ops.depth.normal_equations import (
     make_sums,
     moving_cones,
     solve,
-)  # fmt: skip
+)
 from kinedex.ops.depth.points import FrameCloud
 from kinedex.ops.errors import ParameterError
 
@@ -66,6 +67,15 @@ MOST_TURN, LEAST_TURN = 0.6, 0.004
 """Maximum rotation of a pivot in a step, in radians, and the rotation below which the fit has converged."""
 
 WINDOW = 3
+"""Half-width in pixels of the window that is searched for the point of a sample."""
+
+MOST_SAMPLE_M, HIDDEN_COST_M, MOST_POINT_M = 0.5, 0.03, 0.15
+"""Upper limits of a sample's cost, of a hidden sample's (its constant cost), and of a point's, in metres."""
+
+POINTS_WEIGHT = 2.0
+"""Weight of the points' distance in the cost, which the thesis's cost lacks."""
+
+COST_WINDOW = 4
 """Half-width in pixels of the window that is searched for the point of a sample."""
 
 
@@ -290,3 +300,86 @@ def _move(body: FitBody, room: FitRoom, pose: F64) -> float:
             room.turns[k, i] = scale * turn[i]
     turn_pose(body.pivots, pose, room.turns, step[3 * count :])
     return largest
+
+
+class PoseCost(NamedTuple):
+    """The cost of a pose in metres, and its three parts.
+
+    Attributes
+    ----------
+    total : float
+        The sum of the parts; the pose of least total is chosen.
+    surface : float
+        Mean distance of the surface's samples from their points (8.7).
+    extrema : float
+        Mean distance of the geodesic extrema from the surface (8.8).
+    points : float
+        Twice the mean distance of sampled points from the surface; 0 in the printed form.
+    """
+
+    total: float
+    surface: float
+    extrema: float
+    points: float
+
+
+def cost_of(fit: PoseFit, pose: F64, extrema: F64, form: Form = "best") -> PoseCost:
+    """Return the cost of a pose in the frame that was last set by `PoseFit.look`.
+
+    Parameters
+    ----------
+    fit : PoseFit
+        The body, the camera and the frame.
+    pose : float64 array (24, 3)
+        Joints in metres.
+    extrema : float64 array (n, 3)
+        The places of the geodesic extrema in metres; without any, that part is 0.
+    form : {"best", "printed"}, optional
+        The terms; "printed", as in the thesis, has no points term.
+
+    Returns
+    -------
+    PoseCost
+        The cost.
+    """
+    if fit.image is None:
+        raise ParameterError("fit", "one that has looked at a frame", None)
+    surface, ends, points = _cost(
+        fit.body, fit.view, fit.image, fit.room, pose, np.ascontiguousarray(extrema), form == "printed"
+    )
+    return PoseCost(surface + ends + points, surface, ends, points)
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _cost(
+    body: FitBody, view: DepthView, image: FrameImage, room: FitRoom, pose: F64, extrema: F64, printed: bool
+) -> tuple[float, float, float]:
+    """Return the three parts of the cost: surface, extrema and points."""
+    place_cones(body.cones, pose, room.placed)
+    place_samples(body.samples, room.placed, room.samples, room.offsets)
+    surface, ends, points = 0.0, 0.0, 0.0
+    project_samples(view, image, room.samples, room.seen, room.places)
+    for i in range(len(room.samples)):
+        if room.seen[i, 2] <= 0.0:
+            surface += MOST_SAMPLE_M
+            continue
+        x, y, z = room.samples[i, 0], room.samples[i, 1], room.samples[i, 2]
+        number = closest_point(image.points, image.numbers, room.places[i, 0], room.places[i, 1], x, y, z, COST_WINDOW)
+        point = image.points[number]
+        if is_hidden(view.turn, point, room.seen[i, 0], room.seen[i, 1], room.seen[i, 2]):
+            surface += HIDDEN_COST_M
+        else:
+            distance = math.sqrt((point[0] - x) ** 2 + (point[1] - y) ** 2 + (point[2] - z) ** 2)
+            surface += min(distance, MOST_SAMPLE_M)
+    guess = 0
+    for i in range(len(extrema)):
+        d, guess, _ = nearest_cone(room.placed, extrema[i, 0], extrema[i, 1], extrema[i, 2], np.int64(guess))
+        ends += abs(d)
+    if not printed:
+        every, count = max(1, len(image.points) // SAMPLED_POINTS), 0
+        for i in range(0, len(image.points), every):
+            d, guess, _ = nearest_cone(room.placed, image.points[i, 0], image.points[i, 1], image.points[i, 2], guess)
+            points += min(abs(d), MOST_POINT_M)
+            count += 1
+        points *= POINTS_WEIGHT / count
+    return surface / len(room.samples), ends / max(1, len(extrema)), points

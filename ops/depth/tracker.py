@@ -41,9 +41,17 @@ from kinedex.ops.depth.lookup import (
 )
 from kinedex.ops.depth.points import FrameCloud, Preparation
 from kinedex.ops.depth.pose_database import facing_of, place_directions
-from kinedex.ops.depth.pose_fit import PRINTED_STEPS, RETRIEVED_SIGMA_M, SIGMA_M, STEPS, Form, PoseFit
+from kinedex.ops.depth.pose_fit import (
+    PRINTED_STEPS,
+    RETRIEVED_SIGMA_M,
+    SIGMA_M,
+    STEPS,
+    Form,
+    PoseCost,
+    PoseFit,
+    cost_of,
+)
 from kinedex.ops.depth.pose_index import PoseIndex
-from kinedex.ops.depth.vote import PoseCost, cost_of
 from kinedex.ops.errors import ParameterError
 
 Hypothesis = Literal["local", "database"]

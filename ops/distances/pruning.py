@@ -34,8 +34,7 @@ from kinedex.ops.arrays import F32, F64, I32, I64, U8, U16, U64, Bool
 from kinedex.ops.bits import count_bits
 from kinedex.ops.distances.costs import CodedWords, bound_table, lay_out, template_columns
 from kinedex.ops.distances.recurrence import COARSE_CAP
-from kinedex.ops.distances.stripes import BLOCK, SLOTS, least_sums
-from kinedex.ops.distances.sweep import CAP, pieces_of, sweep_bounds
+from kinedex.ops.distances.sweep import BLOCK, CAP, SLOTS, least_sums, pieces_of, sweep_bounds
 from kinedex.ops.errors import ParameterError
 from kinedex.ops.search.bit_slices import GRANULE, GRANULES, BitSlices, transpose
 from kinedex.ops.templates.templates import QuantisedTemplate
@@ -60,7 +59,7 @@ class CoarseBound:
     Parameters
     ----------
     sums : uint8 array (B,)
-        One for each block of `ops.distances.stripes.BLOCK` frames, the last one may have fewer; `COARSE_CAP` where no
+        One for each block of `ops.distances.sweep.BLOCK` frames, the last one may have fewer; `COARSE_CAP` where no
         path ends below the threshold that the bound was made for.
     unit : float
         The distance that a unit stands for.

@@ -1,14 +1,21 @@
-"""This module has the inner loops of subsequence DTW: frame by frame over adjacent columns, for several pieces."""
+"""This module has the inner loops of subsequence DTW: frame by frame over adjacent columns, for several pieces.
+
+Coarse sums of many templates at once are computed with columns laid out for SIMD byte lanes, in stripes. In a layout of
+consecutive columns, column n needs the values of columns n − 1 and n − 2 in the frame before. Such loads straddle the
+vectors that were just stored, so the processor stalls until the stores reach the cache. Here each column lies `SLOTS`
+bytes after the one before it, so that every vector is loaded as it was stored.
+"""
 
 from __future__ import annotations
 
 import numba as nb
 import numpy as np
 
-from kinedex.ops.arrays import I32, I64, U16
+from kinedex.ops.arrays import F64, I32, I64, U8, U16, U64
 from kinedex.ops.copies import copy_table
-from kinedex.ops.distances.costs import Table
-from kinedex.ops.distances.recurrence import path_cost
+from kinedex.ops.distances.costs import CodedWords, Layout, Table, TemplateColumns, fill_bounds, in_units
+from kinedex.ops.distances.recurrence import COARSE_CAP, coarse_path_cost, path_cost
+from kinedex.ops.words import NO_WORD
 
 LANES = 4
 """The number of pieces that are computed together. A frame depends on the frame before it, whose stores have not
@@ -22,6 +29,12 @@ CHUNK = 512
 CAP = 21845
 """The number at which sums of whole units saturate; a (2,1) step of the greatest cost on top still fits 16 bits.
 """
+
+SLOTS = 64
+"""The number of columns side by side in a row: the bytes of the widest vector, and of a cache line."""
+
+BLOCK = 8
+"""The number of frames in a block that has one least sum."""
 
 
 def pieces_of(ranges: I64, longest: int, lead_in: int) -> I64:
@@ -196,3 +209,165 @@ def sweep_bounds(table: U16, codes: I32, pieces: I64, final: int, sums: U16) -> 
         previous, last, here = (previous + turn) % 3, (last + turn) % 3, (here + turn) % 3
         write_results(lanes, steps, found, sums, np.int64(0))
         following, steps = refill(pieces, following, lanes, state, CAP)
+
+
+def least_sums(layout: Layout, coded: CodedWords, units: F64, pieces: I64) -> U8:
+    """Return the smallest sum of coarse units over the paths of each template that end in each block of `BLOCK` frames.
+
+    *Layout.* The columns of all templates are stacked in slots of R rows, slot after slot. A template occupies whole
+    slots, and is shifted down in them so that its last column is in the last row, with at least one empty cell above
+    its first column. So each column's predecessor is in the row above it, or in the last row of the slot before, and
+    all templates end in the same row.
+
+    *Starts.* The cells above a first column always hold 0, so that the first column costs c alone. The second column
+    has such a cell two columns before it, which allows additional paths that skip the first column and count the second
+    one twice. The smallest sum over more paths is no greater, so it is still a lower bound. Values carried over from
+    another template are at least 0, so they do not lower these cells.
+
+    Parameters
+    ----------
+    layout : Layout
+        T templates, at most `SLOTS` / 2.
+    coded : CodedWords
+        The words of the frames.
+    units : float64 array (T,)
+        The cost that a unit of each template stands for.
+    pieces : int64 array (P, 3)
+        See `ops.distances.sweep.pieces_of`.
+
+    Returns
+    -------
+    uint8 array (T, B)
+        The sums, saturated at `COARSE_CAP`, which is also the value outside the pieces.
+    """
+    rows, slots, places = place_columns(layout.lengths)
+    sums = np.full((len(slots), -(-len(coded) // BLOCK)), COARSE_CAP, np.uint8)
+    if not len(pieces):
+        return sums
+    width = rows * SLOTS
+    others = np.setdiff1d(np.arange(width), places)
+    table = _table(layout, coded.vocabulary, units, places, others, width)
+    initial = aligned_bytes((2 * SLOTS + width,), COARSE_CAP)
+    initial[2 * SLOTS + others] = 0
+    above = aligned_bytes((2 * SLOTS,), COARSE_CAP)
+    above[SLOTS + np.concatenate(([0], slots[:-1] + 1))] = 0
+    longest = int((pieces[:, 2] - pieces[:, 1]).max())
+    least = aligned_bytes((longest // BLOCK + 3, SLOTS), COARSE_CAP)
+    state = aligned_bytes((3, len(initial)), COARSE_CAP)
+    sweep_stripes(table, coded.codes, pieces, initial, above, state, least, slots, sums)
+    return sums
+
+
+def place_columns(lengths: I64) -> tuple[int, I64, I64]:
+    """Assign the columns of templates to rows of `SLOTS` bytes.
+
+    Parameters
+    ----------
+    lengths : int64 array (T,)
+        The number of columns of each template, at most `SLOTS` / 2 templates.
+
+    Returns
+    -------
+    rows : int
+        The number of rows.
+    slots : int64 array (T,)
+        The slot in which each template ends.
+    places : int64 array
+        The byte position of each column, template after template.
+    """
+    # The number is even, as compilers process two vectors at a time and a single last one byte by byte.
+    rows = 2 * max(1, -(-int((lengths + 1).sum()) // (2 * SLOTS)))
+    while int(-(-(lengths + 1) // rows).sum()) > SLOTS:
+        rows += 2
+    ends = np.cumsum(-(-(lengths + 1) // rows))
+    down = np.arange(int(lengths.sum())) + np.repeat(ends * rows - np.cumsum(lengths), lengths)
+    return rows, ends - 1, down % rows * SLOTS + down // rows
+
+
+def _table(layout: Layout, vocabulary: U64, units: F64, places: I64, others: I64, width: int) -> U8:
+    """Tabulate the units of every word against every column at the columns' byte positions; other bytes are 0."""
+    own = np.setdiff1d(np.arange(layout.width), layout.padding)
+    columns, groups = in_units(layout, units), len(layout.columns.group_masks)
+    values, masks, weights = np.zeros(width, np.uint64), np.zeros((groups, width), np.uint64), np.zeros((groups, width))
+    values[places], masks[:, places] = columns.values[own], columns.group_masks[:, own]
+    weights[:, places] = columns.group_weights[:, own]
+    table = aligned_bytes((len(vocabulary), width))
+    placed = TemplateColumns(values, masks, weights, np.ones(width))
+    fill_bounds(vocabulary, placed, COARSE_CAP, np.ones(len(vocabulary), np.bool_), table)
+    table[np.ix_(vocabulary == NO_WORD, others)] = 0
+    return table
+
+
+def aligned_bytes(shape: tuple[int, ...], value: int | None = None) -> U8:
+    """Return an array of bytes that begins at a cache line, filled with a value if one is given.
+
+    Loads of vectors across two cache lines take longer.
+    """
+    size = int(np.prod(shape))
+    memory = np.empty(size + SLOTS, np.uint8)
+    begin = -memory.ctypes.data % SLOTS
+    cells: U8 = memory[begin : begin + size].reshape(shape)
+    if value is not None:
+        cells.fill(value)
+    return cells
+
+
+@nb.njit(cache=True, nogil=True)
+def sweep_stripes(
+    table: U8, codes: I32, pieces: I64, initial: U8, above: U8, state: U8, least: U8, slots: I64, sums: U8
+) -> None:  # fmt: skip
+    """Lower `sums` to the smallest sums of the paths of all templates that end in the blocks of pieces (kernel).
+
+    The two rows above the first one repeat the last two, shifted by one slot, with 0 where a template begins.
+
+    Parameters
+    ----------
+    table : uint8 array (W, S)
+        The units of words, S = R · `SLOTS`, R even.
+    codes : int32 array (L,)
+        The index in the vocabulary of the word of each frame, see `CodedWords`.
+    pieces : int64 array (P, 3)
+        The pieces of frames to compute, see `pieces_of`.
+    initial : uint8 array (S + 2 · `SLOTS`,)
+        The sums before the first frame of a piece.
+    above : uint8 array (2 · `SLOTS`,)
+        The most that the two rows above the first hold.
+    state : uint8 array (3, S + 2 · `SLOTS`)
+        Memory for the sums of three frames.
+    least : uint8 array (BL, `SLOTS`)
+        Memory for more blocks than the longest piece has.
+    slots : int64 array (T,)
+        See `place_columns`.
+    sums : uint8 array (T, B)
+        The results.
+    """
+    columns, cap = table.shape[1], np.uint8(COARSE_CAP)
+    for piece in range(len(pieces)):
+        before, behind, here = state[0], state[1], state[2]
+        for n in range(len(initial)):
+            before[n] = behind[n] = here[n] = initial[n]
+        begin, first = pieces[piece, 1], pieces[piece, 1] // BLOCK
+        count = (pieces[piece, 2] - 1) // BLOCK + 1 - first
+        least[: count + 1] = cap
+        for frame in range(pieces[piece, 0], pieces[piece, 2]):
+            cost, lasts, ends = table[codes[frame]], behind[columns - 1 :], here[columns + SLOTS :]
+            lowest = least[frame // BLOCK - first if frame >= begin else count]
+            for n in range(2 * SLOTS):
+                one, two = lasts[n], above[n]
+                behind[n] = one if one < two else two
+            for n in range(columns):
+                here[n + 2 * SLOTS] = coarse_path_cost(behind[n + SLOTS], before[n + SLOTS], behind[n], cost[n])
+            for slot in range(SLOTS):
+                one, two = ends[slot], lowest[slot]
+                lowest[slot] = one if one < two else two
+            before, behind, here = behind, here, before
+        for t in range(len(slots)):
+            lower(sums[t, first : first + count], least[:count, slots[t]])
+
+
+@nb.njit(cache=True, nogil=True)
+def lower(sums: U8, others: U8) -> None:
+    """Replace each sum by the other one if that is less (kernel)."""
+    for n in range(len(sums)):
+        one, two = sums[n], others[n]
+        sums[n] = one if one < two else two

@@ -14,7 +14,7 @@ import numpy as np
 from kinedex.ops.arrays import I32, I64, U8, U64
 from kinedex.ops.copies import copy_row
 from kinedex.ops.distances.costs import TemplateColumns
-from kinedex.ops.distances.stripes import BLOCK
+from kinedex.ops.distances.sweep import BLOCK
 from kinedex.ops.distances.window_sums import is_minimum, make_window, path_start, sum_window
 from kinedex.ops.ranking.hit_selection import KEYS, Heap, Selection, add_hit, excluded, make_selection
 

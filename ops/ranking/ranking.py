@@ -12,7 +12,7 @@ from kinedex.ops.annotation.segments import TOLERANCE
 from kinedex.ops.arrays import F64, I64
 from kinedex.ops.distances.costs import CodedWords, encode, template_columns
 from kinedex.ops.distances.pruning import CoarseBound, coarse_bound, coarse_bounds, fine_bound, possible_minima
-from kinedex.ops.distances.stripes import BLOCK
+from kinedex.ops.distances.sweep import BLOCK
 from kinedex.ops.errors import ParameterError
 from kinedex.ops.ranges import checked_ranges
 from kinedex.ops.ranking.block_search import gather_blocks, select_from_blocks

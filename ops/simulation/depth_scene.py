@@ -10,8 +10,7 @@ from kinedex.ops.arrays import F64, U16, Bool
 from kinedex.ops.body.facing_direction import turn_about_y
 from kinedex.ops.body.joint_tree import JOINTS
 from kinedex.ops.errors import ParameterError
-from kinedex.ops.simulation.depth_flesh import Flesh, cone_ends, draw_surface, facing
-from kinedex.ops.simulation.depth_rays import ConeRays
+from kinedex.ops.simulation.depth_rays import ConeRays, Flesh, cone_ends, draw_surface, facing
 from kinedex.ops.simulation.depth_sensors import BASELINE_M, DepthSensor, Disturbance, measured
 
 TOES_M = 0.03

@@ -111,8 +111,7 @@ def needed_mappings(store: Store, jobs: Sequence[Job]) -> Mappings | None:
     if not any(job.channels for job in jobs):
         return None
     # imported here because they import numba
-    from kinedex.catalog.skeletons.mappings import load_mappings
-    from kinedex.catalog.skeletons.own_mappings import with_own
+    from kinedex.catalog.skeletons.mappings import load_mappings, with_own
     from kinedex.pipelines.ingestion.parameters import stored_files
 
     joints = store.feature_set.joints

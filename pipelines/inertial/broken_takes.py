@@ -13,8 +13,8 @@ import numpy as np
 from kinedex.catalog.limbs import LIMBS
 from kinedex.ops.inertial.injected_errors import annotate, as_other_side, inject, labelled_runs, own_threshold
 from kinedex.ops.inertial.limb_orientation import NONE, jumps, long_axis
-from kinedex.ops.inertial.noise import generator, smooth_noise
 from kinedex.ops.inertial.rotations import distance_deg, exp, multiply, rotate
+from kinedex.ops.inertial.sensor_model import generator, smooth_noise
 from kinedex.pipelines.engine.digests import hash_of
 from kinedex.pipelines.inertial.limb_motion import LimbMotion, StoredLimbs
 from kinedex.storage.disk import whole_file

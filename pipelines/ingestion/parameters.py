@@ -10,8 +10,7 @@ from typing import Annotated, Any
 
 from pydantic import Field, PrivateAttr, field_validator
 
-from kinedex.catalog.skeletons.mappings import Mappings, load_mappings
-from kinedex.catalog.skeletons.own_mappings import OwnFile, own_files, with_own
+from kinedex.catalog.skeletons.mappings import Mappings, OwnFile, load_mappings, own_files, with_own
 from kinedex.pipelines.engine.file_parameters import NamesFile, StageParameters
 from kinedex.pipelines.ingestion.known_files import Naming
 from kinedex.pipelines.ingestion.memory_limit import parse_size

@@ -10,9 +10,8 @@ import numpy as np
 
 from kinedex.ops.arrays import F32, F64, I64
 from kinedex.ops.intervals import in_seconds
-from kinedex.ops.maps.clusters import Trait, map_clusters, outline, traits, typical
 from kinedex.ops.maps.interval_numbers import interval_numbers, standardised
-from kinedex.ops.maps.layout import Layout, Progress, map_layout
+from kinedex.ops.maps.layout import Layout, Progress, Trait, map_clusters, map_layout, outline, traits, typical
 from kinedex.pipelines.search.bit_slices import stored_words
 
 if TYPE_CHECKING:

@@ -17,8 +17,8 @@ from kinedex.ops.arrays import F64, Bool
 from kinedex.ops.body.joint_tree import JOINTS
 from kinedex.ops.body.resample import fill_gaps
 from kinedex.ops.depth.low_pass import low_pass
+from kinedex.ops.depth.pose_fit import PoseCost
 from kinedex.ops.depth.tracker import Candidate, FrameResult
-from kinedex.ops.depth.vote import PoseCost
 from kinedex.pipelines.reconstruction.parameters import ReconstructParameters
 from kinedex.pipelines.reconstruction.recording_tracks import (
     BACKWARD,

@@ -19,9 +19,9 @@ from kinedex.ops.depth.image_search import DepthView, depth_view
 from kinedex.ops.depth.low_pass import choose_directions
 from kinedex.ops.depth.points import Preparation, choose_stride, ray_table
 from kinedex.ops.depth.pose_database import facing_of
+from kinedex.ops.depth.pose_fit import PoseCost
 from kinedex.ops.depth.size_estimate import LIMITS_M, SECONDS, STEP_M, estimate_size
 from kinedex.ops.depth.tracker import LEAST_POINTS, Candidate, FrameResult, Hypothesis, Reconstructor, TrackerSettings
-from kinedex.ops.depth.vote import PoseCost
 from kinedex.ops.errors import KinedexError, ParameterError
 from kinedex.ops.wording import counted
 from kinedex.pipelines.reconstruction.parameters import ESTIMATE

@@ -12,7 +12,7 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 
 from kinedex.ops.arrays import F64
-from kinedex.ops.inertial.noise import Readings
+from kinedex.ops.inertial.sensor_model import Readings
 from kinedex.pipelines.simulation.imu_sensors import SampledPiece
 
 _COUNTER_WRAP = 65_536

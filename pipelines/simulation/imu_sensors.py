@@ -10,9 +10,21 @@ import numpy as np
 from kinedex.ops.arrays import F64, Bool
 from kinedex.ops.errors import ParameterError
 from kinedex.ops.inertial.limb_orientation import NONE
-from kinedex.ops.inertial.noise import Clock, Grade, Readings, generator, measured, random_clock, random_mount
 from kinedex.ops.inertial.rotations import interpolate
-from kinedex.ops.inertial.sensor_model import FIELD_UT, INCLINATION_DEG, magnetic_field, sensor_motion, world_turn
+from kinedex.ops.inertial.sensor_model import (
+    FIELD_UT,
+    INCLINATION_DEG,
+    Clock,
+    Grade,
+    Readings,
+    generator,
+    magnetic_field,
+    measured,
+    random_clock,
+    random_mount,
+    sensor_motion,
+    world_turn,
+)
 from kinedex.pipelines.inertial.limb_motion import LimbMotion
 
 LEAST_SECONDS = 2.0

@@ -12,8 +12,7 @@ from typing import Any
 
 from kinedex.ops.errors import KinedexError, ParameterError
 from kinedex.ops.synth.body import Actor, actor_name, cast
-from kinedex.ops.synth.motions import MOTIONS
-from kinedex.ops.synth.performance import RATE_HZ, perform_clip, perform_take
+from kinedex.ops.synth.performance import MOTIONS, RATE_HZ, perform_clip, perform_take
 from kinedex.ops.synth.solve import columns
 from kinedex.pipelines.engine.display import Progress, no_progress
 from kinedex.pipelines.engine.executors import cores, make_executor

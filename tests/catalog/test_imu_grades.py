@@ -10,7 +10,7 @@ import pytest
 from kinedex.catalog.configs import config_names, config_path, load_yaml
 from kinedex.catalog.imu_grades import load_grade
 from kinedex.ops.errors import ConfigError
-from kinedex.ops.inertial.noise import ChannelErrors, Grade
+from kinedex.ops.inertial.sensor_model import ChannelErrors, Grade
 
 
 def test_shipped_grades_are_in_si_units() -> None:

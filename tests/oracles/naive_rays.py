@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 
-from kinedex.ops.simulation.depth_flesh import Surface
+from kinedex.ops.simulation.depth_rays import Surface
 from kinedex.ops.simulation.depth_sensors import DepthSensor
 
 Cone = tuple[float, ...]

@@ -11,8 +11,14 @@ from itertools import combinations
 import numpy as np
 
 from kinedex.catalog.skeletons.recognition.landmarks import Landmarks, Reading
-from kinedex.catalog.skeletons.recognition.point_draft import SIDES, BodyDraft, mean_of, median_length, one_point
-from kinedex.catalog.skeletons.recognition.point_trunk import add_head
+from kinedex.catalog.skeletons.recognition.point_trunk import (
+    SIDES,
+    BodyDraft,
+    add_head,
+    mean_of,
+    median_length,
+    one_point,
+)
 from kinedex.catalog.skeletons.skeleton_fit import Mix
 from kinedex.ops.arrays import F64
 

@@ -13,8 +13,7 @@ from pathlib import Path
 from kinedex.catalog.skeletons.evidence import Evidence
 from kinedex.catalog.skeletons.recognition.landmarks import Landmarks, Reading, load_landmarks
 from kinedex.catalog.skeletons.recognition.point_centres import add_centres, add_regressions
-from kinedex.catalog.skeletons.recognition.point_draft import SIDES, BodyDraft
-from kinedex.catalog.skeletons.recognition.point_trunk import add_ends, add_trunk
+from kinedex.catalog.skeletons.recognition.point_trunk import SIDES, BodyDraft, add_ends, add_trunk
 from kinedex.catalog.skeletons.skeleton_fit import Fit, Format, Mix, SkeletonMapping, axes_of_up
 from kinedex.ops.arrays import F64
 from kinedex.ops.body.up_axis import up_axis

@@ -9,7 +9,7 @@ import pytest
 
 from kinedex.catalog.features import load_feature_set
 from kinedex.catalog.skeletons.mappings import load_mappings
-from kinedex.ops.body.left_right import CLEAR, left_right
+from kinedex.ops.body.up_axis import CLEAR, left_right
 from kinedex.storage.formats.motion.reader_table import read_body
 from tests.bodies import standing
 from tests.oracles.features import JOINTS

@@ -12,8 +12,7 @@ from kinedex.ops.depth.pose_database import bone_directions, turn_poses
 from kinedex.ops.depth.pose_distance import COMPARED
 from kinedex.ops.depth.tracker import FrameResult, Reconstructor, TrackerSettings
 from kinedex.ops.errors import ParameterError
-from kinedex.ops.simulation.depth_flesh import Surface
-from kinedex.ops.simulation.depth_rays import ConeRays
+from kinedex.ops.simulation.depth_rays import ConeRays, Surface
 from tests.ops.depth.cone_bodies import BODY, HEIGHT, POSE, random_pose
 from tests.ops.depth.pose_material import BONES, random_directions
 from tests.plain_python import slow_as_python

@@ -9,8 +9,7 @@ from kinedex.ops.arrays import F64
 from kinedex.ops.depth.cones import ConeBody
 from kinedex.ops.depth.image_search import DepthView
 from kinedex.ops.depth.points import FrameCloud
-from kinedex.ops.depth.pose_fit import Form, PoseFit
-from kinedex.ops.depth.vote import PoseCost, cost_of
+from kinedex.ops.depth.pose_fit import Form, PoseCost, PoseFit, cost_of
 from kinedex.ops.errors import ParameterError
 from tests.ops.depth.cone_bodies import BODY, HEIGHT, POSE, random_pose
 from tests.ops.depth.filmed_cones import LEVEL, MATRIX, film, standing, tilted, view

@@ -10,8 +10,7 @@ from hypothesis import strategies as st
 from kinedex.ops.distances import pruning
 from kinedex.ops.distances.costs import encode, lay_out
 from kinedex.ops.distances.pruning import coarse_bounds
-from kinedex.ops.distances.stripes import BLOCK, SLOTS, aligned_bytes, least_sums, place_columns
-from kinedex.ops.distances.sweep import pieces_of
+from kinedex.ops.distances.sweep import BLOCK, SLOTS, aligned_bytes, least_sums, pieces_of, place_columns
 from tests.ops.distances.test_dtw import as_words_with_gaps, feature_weights, quantised, takes_with_gaps, templates
 from tests.oracles.stripes import CAP, coarse_sums
 

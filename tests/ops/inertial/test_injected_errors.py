@@ -17,8 +17,8 @@ from kinedex.ops.inertial.injected_errors import (
     labelled_runs,
     own_threshold,
 )
-from kinedex.ops.inertial.noise import generator
 from kinedex.ops.inertial.rotations import conjugate, distance_deg, exp, multiply, rotate
+from kinedex.ops.inertial.sensor_model import generator
 
 pytest.importorskip("scipy")
 RATE = 40.0

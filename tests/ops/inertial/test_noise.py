@@ -6,25 +6,23 @@ import numpy as np
 import pytest
 
 from kinedex.ops.errors import ParameterError
-from kinedex.ops.inertial.noise import (
+from kinedex.ops.inertial.rotations import distance_deg, exp
+from kinedex.ops.inertial.sensor_model import (
     ChannelErrors,
     Clock,
     Grade,
+    SensorMotion,
+    field_in_sensor,
     generator,
+    magnetic_field,
     measured,
     random_clock,
     random_mount,
     smooth_noise,
     soft_tissue,
-    with_errors,
-)
-from kinedex.ops.inertial.rotations import distance_deg, exp
-from kinedex.ops.inertial.sensor_model import (
-    SensorMotion,
-    field_in_sensor,
-    magnetic_field,
     specific_force,
     turn_rates,
+    with_errors,
 )
 
 pytest.importorskip("scipy")

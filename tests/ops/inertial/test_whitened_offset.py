@@ -7,7 +7,7 @@ import pytest
 
 from kinedex.ops.inertial import rotations as r
 from kinedex.ops.inertial import whitened_offset as wo
-from kinedex.ops.inertial.noise import smooth_noise
+from kinedex.ops.inertial.sensor_model import smooth_noise
 from kinedex.ops.inertial.time_offset import Fine, refine
 from tests.ops.inertial.test_time_offset import fine
 from tests.oracles import inertial as naive

@@ -8,8 +8,7 @@ import sys
 import numpy as np
 import pytest
 
-from kinedex.ops.maps.clusters import map_clusters, outline, traits, typical
-from kinedex.ops.maps.layout import map_layout
+from kinedex.ops.maps.layout import map_clusters, map_layout, outline, traits, typical
 from kinedex.ops.packages import MissingPackageError
 
 GROUPS = 3

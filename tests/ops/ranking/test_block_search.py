@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 
 from kinedex.ops.distances.costs import encode
 from kinedex.ops.distances.pruning import coarse_bounds
-from kinedex.ops.distances.stripes import BLOCK
+from kinedex.ops.distances.sweep import BLOCK
 from kinedex.ops.ranking import ranking
 from kinedex.ops.ranking.block_search import gather_blocks
 from kinedex.ops.words import TakeWords

@@ -16,8 +16,7 @@ from kinedex.ops.distances import pruning
 from kinedex.ops.distances.costs import encode
 from kinedex.ops.distances.dtw import distance_curves
 from kinedex.ops.distances.pruning import FineBound, coarse_bound, coarse_bounds, fine_bound, possible_minima
-from kinedex.ops.distances.stripes import BLOCK
-from kinedex.ops.distances.sweep import CAP
+from kinedex.ops.distances.sweep import BLOCK, CAP
 from kinedex.ops.errors import ParameterError
 from kinedex.ops.ranking import ranking
 from kinedex.ops.ranking.ranking import Hits, rank, rank_together

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from kinedex.ops.body.joint_tree import JOINTS
-from kinedex.ops.simulation.depth_flesh import Clothes, Flesh
+from kinedex.ops.simulation.depth_rays import Clothes, Flesh
 
 Mixture = dict[str, float]
 

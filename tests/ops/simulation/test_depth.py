@@ -11,8 +11,7 @@ import yaml
 from PIL import Image
 
 from kinedex.ops.body.joint_tree import JOINTS
-from kinedex.ops.simulation.depth_flesh import cone_ends, draw_surface, facing
-from kinedex.ops.simulation.depth_rays import ConeRays
+from kinedex.ops.simulation.depth_rays import ConeRays, cone_ends, draw_surface, facing
 from kinedex.ops.simulation.depth_scene import CameraPlace, DepthScene, on_floor, place_camera
 from kinedex.ops.simulation.depth_sensors import BASELINE_M, SENSORS, DepthSensor, Disturbance, measured
 from tests.bodies import STANDING

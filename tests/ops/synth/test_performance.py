@@ -7,8 +7,7 @@ import pytest
 
 from kinedex.ops.errors import ParameterError
 from kinedex.ops.synth.body import actor_name, cast
-from kinedex.ops.synth.motions import MOTIONS
-from kinedex.ops.synth.performance import RATE_HZ, perform_clip, perform_take
+from kinedex.ops.synth.performance import MOTIONS, RATE_HZ, perform_clip, perform_take
 from tests.ops.synth.bodies import places
 
 SEED = 5

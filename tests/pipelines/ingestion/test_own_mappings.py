@@ -8,8 +8,7 @@ from pathlib import Path
 import pytest
 
 from kinedex.catalog.features import load_feature_set
-from kinedex.catalog.skeletons.mappings import load_mappings, load_skeleton
-from kinedex.catalog.skeletons.own_mappings import own_files, with_own
+from kinedex.catalog.skeletons.mappings import load_mappings, load_skeleton, own_files, with_own
 from kinedex.catalog.skeletons.recognition.landmarks import load_landmarks
 from kinedex.ops.errors import ConfigError
 from kinedex.pipelines.repair.repair import repair_store

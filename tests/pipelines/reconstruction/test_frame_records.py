@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 
 from kinedex.ops.body.joint_tree import JOINTS
+from kinedex.ops.depth.pose_fit import PoseCost
 from kinedex.ops.depth.tracker import Candidate, FrameResult, Hypothesis
-from kinedex.ops.depth.vote import PoseCost
 from kinedex.pipelines.reconstruction.recording_tracks import FrameRecords
 
 

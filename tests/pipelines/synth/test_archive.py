@@ -15,7 +15,7 @@ from kinedex.catalog.classes import load_classes
 from kinedex.console.pulse import Pulse
 from kinedex.console.terminal import Progress
 from kinedex.ops.errors import KinedexError, ParameterError
-from kinedex.ops.synth.motions import MOTIONS
+from kinedex.ops.synth.performance import MOTIONS
 from kinedex.pipelines.synth.archive import Summary, write_archive
 from kinedex.storage.formats.motion.acclaim import read_amc
 from kinedex.storage.formats.motion.asf import read_asf
