@@ -233,20 +233,10 @@ class Placement:
         turned: F64 = (np.asarray(points, np.float64) * FLIP) @ self.turn.T
         return turned
 
-    def in_camera(self, points: npt.ArrayLike) -> F64:
-        """Transform points (…, 3) from the inside axes to the camera's axes."""
-        seen: F64 = (np.asarray(points, np.float64) @ self.turn) * FLIP
-        return seen
-
     def in_world(self, points: npt.ArrayLike) -> F64:
         """Transform points (…, 3) from the inside axes to the world; without a pose, Y = 0 is the floor if known."""
         placed: F64 = np.asarray(points, np.float64) @ self.rotation.T + self.place
         return placed
-
-    def from_world(self, points: npt.ArrayLike) -> F64:
-        """Transform points (…, 3) from the world to the inside axes."""
-        inside: F64 = (np.asarray(points, np.float64) - self.place) @ self.rotation
-        return inside
 
 
 def placement_of(camera: DepthCamera, background: F32 | None, seed: int = 0) -> Placement:

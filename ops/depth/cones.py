@@ -80,33 +80,12 @@ def moved_joints(joints: I64) -> Bool:
     return moved
 
 
-def turned_pose(joints: I64, pose: F64, turns: F64, shift: npt.ArrayLike = (0.0, 0.0, 0.0)) -> F64:
-    """Return a pose after rotating every pivot, the deepest ones first, and then translating the whole body.
-
-    Parameters
-    ----------
-    joints : int64 array (P,)
-        The joints of the pivots.
-    pose : float64 array (24, 3)
-        Joints in metres.
-    turns : float64 array (P, 3)
-        Rotation vectors in radians.
-    shift : float64 array (3,), optional
-        Translation in metres.
-
-    Returns
-    -------
-    float64 array (24, 3)
-        The joints after the turns; bones keep their lengths.
-    """
-    turned = np.array(pose, np.float64)
-    turn_pose(pivots_of(joints), turned, np.ascontiguousarray(turns, np.float64), np.asarray(shift, np.float64))
-    return turned
-
-
 @njit(cache=True, nogil=True, error_model="numpy")
 def turn_pose(pivots: Pivots, pose: F64, turns: F64, shift: F64) -> None:
-    """Rotate every pivot of a pose in place, the deepest ones first, and then translate it; see `turned_pose`."""
+    """Rotate every pivot of a pose in place, the deepest ones first, and then translate it.
+
+    `turns` (P, 3) are rotation vectors in radians; bones keep their lengths.
+    """
     for k in range(len(pivots.joints) - 1, -1, -1):
         a, b, c = turns[k, 0], turns[k, 1], turns[k, 2]
         angle = math.sqrt(a * a + b * b + c * c)

@@ -1,8 +1,7 @@
-"""This module measures the distance of poses over the joints by which depth images are judged (thesis, Eq. 8.1)."""
+"""This module names the joints by which poses from depth images are compared (thesis, Eq. 8.1), and end effectors."""
 
 from __future__ import annotations
 
-import math
 from itertools import permutations
 
 import numpy as np
@@ -45,24 +44,3 @@ def are_ends_found(extrema: F64, poses: F64) -> Bool:
     for order in permutations(range(len(END_EFFECTORS))):
         found |= near[:, np.arange(len(order)), order].all(axis=1)
     return found
-
-
-def pose_distance(pose: F64, others: F64) -> F64:
-    """Return the root mean square distance of the compared joints.
-
-    The thesis prints ‖P₁ − P₂‖ / J, with which a joint that is 10 cm away gives 0.5 cm; the root mean square is 2.2 cm.
-
-    Parameters
-    ----------
-    pose : float64 array (24, 3)
-        A pose in metres.
-    others : float64 array (…, 24, 3)
-        Other poses in metres.
-
-    Returns
-    -------
-    float64 array (…)
-        d_P in metres.
-    """
-    apart = np.asarray(others)[..., COMPARED, :] - np.asarray(pose)[COMPARED]
-    return np.asarray(np.sqrt((apart**2).sum(axis=(-2, -1))) / math.sqrt(len(COMPARED)))

@@ -102,8 +102,9 @@ class PoseIndex:
     @property
     def nbytes(self) -> int:
         """Return the size of poses, features and tree in bytes."""
-        _, _, *arrays = self.tree
-        return sum(array.nbytes for array in (self.poses, self.features, *arrays))
+        tree = self.tree
+        arrays = (self.poses, self.features, tree.features, tree.order, tree.edges, tree.boxes)
+        return sum(array.nbytes for array in arrays)
 
     def nearest(self, features: F32, count: int) -> tuple[I64, F64]:
         """Find the poses whose end effectors are nearest to the queries.

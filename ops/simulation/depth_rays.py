@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from numba import njit
@@ -92,8 +93,7 @@ class Flesh:
     clothes: Clothes
 
 
-@dataclass(frozen=True, eq=False)
-class Surface:
+class Surface(NamedTuple):
     """The sizes and bumps of the C cones of one person, in metres.
 
     Attributes
@@ -193,7 +193,7 @@ class ConeRays:
         image = np.full((height, width), np.inf)
         margin = self.surface.wave_m + self.surface.folds[:, 0]
         _bound(ends, self.surface.radii, margin, self.view, self._boxes)
-        _render(ends, self.surface.radii, self.surface.folds, self._bumps, self.view, self._boxes, image)
+        _render(ends, self.surface, self._bumps, self.view, self._boxes, image)
         return image
 
     def shadow(self, ends: F64, depth: F64, baseline_m: float) -> Bool:
@@ -212,10 +212,7 @@ class ConeRays:
         moved = ends - np.array([baseline_m, 0.0, 0.0])
         margin = self.surface.wave_m + self.surface.folds[:, 0]
         _bound(moved, self.surface.radii, margin, self.view, self._boxes)
-        surface = self.surface
-        _shade(
-            moved, surface.radii, surface.folds, self._bumps, self.view, self._boxes, depth, baseline_m, hidden
-        )  # fmt: skip
+        _shade(moved, self.surface, self._bumps, self.view, self._boxes, depth, baseline_m, hidden)
         return hidden
 
 
@@ -245,8 +242,9 @@ def _bound(ends: F64, radii: F64, margin: F64, view: F64, boxes: F64) -> None:
 
 
 @njit(cache=True)
-def _cone_distance(ends: F64, radii: F64, folds: F64, c: int, x: float, y: float, z: float) -> float:
+def _cone_distance(ends: F64, surface: Surface, c: int, x: float, y: float, z: float) -> float:
     """Return the signed distance of a point from a cone with its folds."""
+    radii, folds = surface.radii, surface.folds
     ax, ay, az = ends[c, 0, 0], ends[c, 0, 1], ends[c, 0, 2]
     dx, dy, dz = ends[c, 1, 0] - ax, ends[c, 1, 1] - ay, ends[c, 1, 2] - az
     square = dx * dx + dy * dy + dz * dz
@@ -262,18 +260,15 @@ def _cone_distance(ends: F64, radii: F64, folds: F64, c: int, x: float, y: float
 
 
 @njit(cache=True)
-def _march(
-    ends: F64, radii: F64, folds: F64, bumps: F64, listed: I64, count: int,
-    a: float, b: float, begin: float, end: float,
-) -> float:  # fmt: skip
+def _march(ends: F64, surface: Surface, bumps: F64, listed: I64, a: float, b: float, begin: float, end: float) -> float:
     """Return the depth where a ray meets one of the listed cones between two depths; infinity if it meets none."""
     z = begin
     factor = bumps[2] / math.sqrt(1.0 + a * a + b * b)
     while z < end:
         x, y = a * z, b * z
         distance = np.inf
-        for i in range(count):
-            distance = min(distance, _cone_distance(ends, radii, folds, listed[i], x, y, z))
+        for c in listed:
+            distance = min(distance, _cone_distance(ends, surface, c, x, y, z))
         if bumps[0] > 0.0:
             phase = bumps[1]
             wave = math.sin(40.0 * x + phase) * math.sin(37.0 * y + 2.0 * phase) * math.sin(33.0 * z)
@@ -309,7 +304,7 @@ def _column_cones(boxes: F64, row: I64, in_row: int, u: float, listed: I64) -> t
 
 
 @njit(cache=True)
-def _render(ends: F64, radii: F64, folds: F64, bumps: F64, view: F64, boxes: F64, image: F64) -> None:
+def _render(ends: F64, surface: Surface, bumps: F64, view: F64, boxes: F64, image: F64) -> None:
     height, width = image.shape
     row, listed = np.empty(len(ends), np.int64), np.empty(len(ends), np.int64)
     for v in range(height):
@@ -320,13 +315,13 @@ def _render(ends: F64, radii: F64, folds: F64, bumps: F64, view: F64, boxes: F64
             count, begin, end = _column_cones(boxes, row, in_row, float(u), listed)
             if count > 0:
                 a, b = (u - view[1]) / view[0], (v - view[2]) / view[0]
-                image[v, u] = _march(ends, radii, folds, bumps, listed, count, a, b, begin, end)
+                image[v, u] = _march(ends, surface, bumps, listed[:count], a, b, begin, end)
 
 
 @njit(cache=True)
 def _shade(
-    ends: F64, radii: F64, folds: F64, bumps: F64, view: F64, boxes: F64, depth: F64, baseline: float, hidden: Bool
-) -> None:  # fmt: skip
+    ends: F64, surface: Surface, bumps: F64, view: F64, boxes: F64, depth: F64, baseline: float, hidden: Bool
+) -> None:
     """Mark the pixels whose points are in the shadow of cones; the ends are given in the projector's axes."""
     height, width = depth.shape
     row, listed = np.empty(len(ends), np.int64), np.empty(len(ends), np.int64)
@@ -340,4 +335,4 @@ def _shade(
             count, begin, end = _column_cones(boxes, row, in_row, view[0] * a + view[1], listed)
             if count > 0:
                 end = min(end, z - SHADOW_M)
-                hidden[v, u] = _march(ends, radii, folds, bumps, listed, count, a, b, begin, end) < end
+                hidden[v, u] = _march(ends, surface, bumps, listed[:count], a, b, begin, end) < end

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from kinedex.ops.arrays import F64, I64
+from kinedex.ops.body.facing_direction import mirrored_names
 from kinedex.ops.body.kinematic_chain import ChainBody, KinematicChain
 from kinedex.ops.errors import KinedexError, ParameterError, Remedy
 
@@ -93,9 +94,7 @@ def mean_body(chain: KinematicChain, bodies: Sequence[ChainBody]) -> ChainBody:
     if not bodies:
         raise ParameterError("bodies", "those of one actor at least", "none")
     offsets = np.mean([body.offsets for body in bodies], axis=0)
-    mirrored = offsets.copy()
-    for j, name in enumerate(chain.joints):
-        mirrored[j] = offsets[_other_side(chain, name)] * (-1.0, 1.0, 1.0)
+    mirrored = offsets[[chain.joint(name) for name in mirrored_names(chain.joints)]] * (-1.0, 1.0, 1.0)
     return ChainBody(chain, 0.5 * (offsets + mirrored))
 
 
@@ -240,8 +239,3 @@ def _limb_lengths(
         else:
             lengths[bone] = float(np.nanmean((found.left_m, found.right_m)))
     return lengths
-
-
-def _other_side(chain: KinematicChain, name: str) -> int:
-    other = {"l": "r", "r": "l"}.get(name[0], "") + name[1:]
-    return chain.joint(other if other in chain.joints else name)

@@ -124,34 +124,12 @@ def contour_room(capsules: Capsules, joints: F64) -> Contours:
     return Contours(np.zeros(most, np.int64), *(np.zeros((most, *shape)) for shape in ((), (3,), (3,), ())))
 
 
-def contour_points(one: F64, other: F64, radius: float, centre: F64, share: float) -> F64:
-    """Return the two contour points of a capsule at a position on its axis.
-
-    Parameters
-    ----------
-    one, other : float64 array (3,)
-        Ends of its axis in metres.
-    radius : float
-        Its radius in metres.
-    centre : float64 array (3,)
-        Centre of the camera.
-    share : float
-        Place on the axis, from 0 to 1.
-
-    Returns
-    -------
-    float64 array (2, 3)
-        The points, NaN where the camera is inside the cylinder or on its axis.
-    """
-    normals = np.empty((2, 3))
-    if not contour_normals(one, other, radius, centre, share, normals):
-        return np.full((2, 3), np.nan)
-    return one + share * (other - one) + radius * normals
-
-
 @njit(cache=True, nogil=True)
 def contour_normals(one: F64, other: F64, radius: float, centre: F64, share: float, normals: F64) -> bool:
-    """Compute the two unit normals (2, 3) of the surface at `contour_points`; return False if there are none."""
+    """Compute the two unit normals (2, 3) of a capsule's contour at a position on its axis, from 0 to 1.
+
+    Return False if there are none: the camera is inside the cylinder or on its axis.
+    """
     ax, ay, az = other[0] - one[0], other[1] - one[1], other[2] - one[2]
     dx = one[0] + share * ax - centre[0]
     dy = one[1] + share * ay - centre[1]

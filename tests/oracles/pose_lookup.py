@@ -3,11 +3,19 @@
 from __future__ import annotations
 
 import itertools
+import math
 
 import numpy as np
 
+from kinedex.ops.arrays import F64
 from kinedex.ops.body.joint_tree import JOINTS, PARENTS
-from kinedex.ops.depth.pose_distance import END_EFFECTORS, pose_distance
+from kinedex.ops.depth.pose_distance import COMPARED, END_EFFECTORS
+
+
+def pose_distance(pose: F64, others: F64) -> F64:
+    """Return the root mean square distance of the compared joints."""
+    apart = np.asarray(others)[..., COMPARED, :] - np.asarray(pose)[COMPARED]
+    return np.asarray(np.sqrt((apart**2).sum(axis=(-2, -1))) / math.sqrt(len(COMPARED)))
 
 
 def placed(directions: np.ndarray, lengths: np.ndarray) -> np.ndarray:

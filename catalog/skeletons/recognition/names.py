@@ -57,11 +57,6 @@ class NodeName:
         """Return the words concatenated, the form in which a vocabulary lists them."""
         return "".join(self.words)
 
-    @property
-    def ordinal(self) -> int | None:
-        """Return the last number, None without any."""
-        return self.ordinals[-1] if self.ordinals else None
-
 
 class _VocabularyFile(BaseModel):
     model_config = ConfigDict(extra="forbid")

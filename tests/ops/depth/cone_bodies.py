@@ -3,15 +3,24 @@
 from __future__ import annotations
 
 import numpy as np
+import numpy.typing as npt
 
 from kinedex.catalog.bodies import load_body
+from kinedex.ops.arrays import F64, I64
 from kinedex.ops.body.joint_tree import JOINTS, PARENTS
-from kinedex.ops.depth.cones import ConeBody, turned_pose
+from kinedex.ops.depth.cones import ConeBody, pivots_of, turn_pose
 from tests.bodies import STANDING
 
 BODY = load_body()
 POSE = np.array([STANDING[joint] for joint in JOINTS]) + np.array([0.05, -1.0, -3.0])
 """A person who stands 3 m before the camera and faces it, in the axes of the kernels: y up, z towards the camera."""
+
+
+def turned_pose(joints: I64, pose: F64, turns: F64, shift: npt.ArrayLike = (0.0, 0.0, 0.0)) -> F64:
+    """Return a pose after rotating every pivot, the deepest ones first, and then translating the whole body."""
+    turned = np.array(pose, np.float64)
+    turn_pose(pivots_of(joints), turned, np.ascontiguousarray(turns, np.float64), np.asarray(shift, np.float64))
+    return turned
 
 
 def bone_lengths(pose: np.ndarray) -> np.ndarray:

@@ -14,9 +14,10 @@ from kinedex.ops.depth.lookup import (
     turned_direction,
 )
 from kinedex.ops.depth.pose_database import facing_of, place_directions, turn_poses
-from kinedex.ops.depth.pose_distance import END_EFFECTORS, pose_distance
+from kinedex.ops.depth.pose_distance import END_EFFECTORS
 from kinedex.ops.depth.pose_index import PoseIndex, pose_centres
 from tests.ops.depth.pose_material import BONES, random_directions
+from tests.oracles.pose_lookup import pose_distance
 
 POSES = place_directions(random_directions(200), BONES)
 LOOKUP = Lookup(PoseIndex(POSES))

@@ -9,11 +9,12 @@ from hypothesis import strategies as st
 
 from kinedex.ops.depth.lookup import APART_M, MOST_MAPS, NEAR_M, Lookup, feet_maps, near_maps
 from kinedex.ops.depth.pose_database import facing_of, place_directions, turn_poses
-from kinedex.ops.depth.pose_distance import END_EFFECTORS, pose_distance
+from kinedex.ops.depth.pose_distance import END_EFFECTORS
 from kinedex.ops.depth.pose_index import PoseIndex, pose_centres
 from kinedex.ops.errors import ParameterError
 from tests.ops.depth.pose_material import BONES, random_directions
 from tests.oracles import pose_lookup as naive
+from tests.oracles.pose_lookup import pose_distance
 
 POSES = place_directions(random_directions(300), BONES)
 INDEX = PoseIndex(POSES)

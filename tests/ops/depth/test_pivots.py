@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from kinedex.ops.depth.cones import moved_joints, turned_pose
-from tests.ops.depth.cone_bodies import BODY, POSE, bone_lengths
+from kinedex.ops.depth.cones import moved_joints
+from tests.ops.depth.cone_bodies import BODY, POSE, bone_lengths, turned_pose
 from tests.oracles import cone_body as oracle
 
 

@@ -19,12 +19,12 @@ from kinedex.ops.depth.pose_database import (
     place_directions,
     thin_poses,
 )
-from kinedex.ops.depth.pose_distance import pose_distance
 from kinedex.ops.errors import ParameterError
 from kinedex.ops.words import NO_WORD
 from tests.ops.depth.cone_bodies import POSE, bone_lengths, random_pose
 from tests.ops.depth.pose_material import BONES, random_directions
 from tests.oracles import pose_lookup as naive
+from tests.oracles.pose_lookup import pose_distance
 from tests.plain_python import slow_as_python
 
 DIRECTIONS = random_directions(120)

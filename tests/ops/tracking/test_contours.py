@@ -7,15 +7,24 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from kinedex.ops.arrays import F64
 from kinedex.ops.body.capsules import Capsules
 from kinedex.ops.errors import ParameterError
-from kinedex.ops.tracking.contours import add_contours, contour_points, contour_room, contour_sums, find_contours
+from kinedex.ops.tracking.contours import add_contours, contour_normals, contour_room, contour_sums, find_contours
 from kinedex.ops.tracking.views import View, camera_view, mask_pixel, render_mask
 from tests.ops.tracking.scene import CAPSULES, JOINTS, cameras, looking_at
 from tests.oracles import contours as oracle
 
 POSE = np.ascontiguousarray(JOINTS[:, :, 0])
 ONE, OTHER = np.array([0.0, 1.0, 0.0]), np.array([0.3, 1.4, 0.2])
+
+
+def contour_points(one: F64, other: F64, radius: float, centre: F64, share: float) -> F64:
+    """Return the two contour points of a capsule at a position on its axis."""
+    normals = np.empty((2, 3))
+    if not contour_normals(one, other, radius, centre, share, normals):
+        return np.full((2, 3), np.nan)
+    return one + share * (other - one) + radius * normals
 
 
 def constant(mask: np.ndarray) -> np.ndarray:
