@@ -15,7 +15,7 @@ from kinedex.catalog.features import load_feature_set
 from kinedex.catalog.skeletons.mappings import load_skeleton
 from kinedex.ops.body import features, kinematics
 from kinedex.pipelines.engine.runner import run_pipeline
-from kinedex.storage.formats.motion.acclaim import read_amc
+from kinedex.storage.formats.motion.acclaim import AmcFile
 from kinedex.storage.formats.motion.asf import Skeleton, read_asf
 from kinedex.storage.formats.motion.bvh_parser import parse_bvh
 from kinedex.storage.formats.motion.c3d import parse_c3d
@@ -35,11 +35,11 @@ def figures(_: Store) -> list[Figure]:
     skeleton = read_asf(asf)
     return [
         *packages.beside(
-            "AMC file to numbers", amc, lambda: read_amc(amc, read_asf(asf)), packages.of_acclaim(asf, amc)
+            "AMC file to numbers", amc, lambda: AmcFile(amc, read_asf(asf)).channels(), packages.of_acclaim(asf, amc)
         ),
         *_joined_bvh(),
         *_c3d(),
-        _posing(skeleton, read_amc(amc, skeleton).channels),
+        _posing(skeleton, AmcFile(amc, skeleton).channels()),
         *_ingesting(root),
     ]
 

@@ -102,6 +102,19 @@ def replace_file(path: Path, write: Callable[[Path], object]) -> None:
                 raise
 
 
+def write_flushed(path: Path, content: str | bytes) -> None:
+    """Write a new file, text as UTF-8, and flush it to disk."""
+    with open(path, "wb") as file:
+        file.write(content.encode() if isinstance(content, str) else content)
+        file.flush()
+        os.fsync(file.fileno())
+
+
+def names_in(folder: Path) -> list[str]:
+    """Return the sorted names in a folder; empty if there is no such folder."""
+    return sorted(os.listdir(folder)) if folder.is_dir() else []
+
+
 class FileSums(NamedTuple):
     """The size of a file in bytes and its checksums: SHA-256, and XXH3 with 128 bits, which readers verify."""
 

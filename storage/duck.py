@@ -55,11 +55,6 @@ def _hide_progress(connection: Connection) -> None:
         connection.execute("SET enable_progress_bar = false")
 
 
-def lock_settings(connection: Connection) -> None:
-    """Fix the settings of a connection; settings that write files (logs, profiles) fail from now on."""
-    connection.execute("SET lock_configuration = true")
-
-
 def allow_only(connection: Connection, places: Iterable[Path]) -> None:
     """Restrict a connection to the files in some folders; databases that are attached already stay open."""
     # DuckDB compares the glob-escaped path of a scan as text, so allow both forms

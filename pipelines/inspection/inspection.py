@@ -33,7 +33,7 @@ from kinedex.storage.formats.motion.c3d import parse_c3d
 from kinedex.storage.formats.motion.figures import Figure as SceneFigure
 from kinedex.storage.formats.motion.figures import FigureReader
 from kinedex.storage.formats.motion.points import Points, PointsReader
-from kinedex.storage.formats.motion.positions import parse_positions
+from kinedex.storage.formats.motion.positions import PositionsReader, parse_positions
 from kinedex.storage.formats.motion.reader import DEFAULT_SETTINGS, Body, MotionFile, ReadSettings
 from kinedex.storage.formats.motion.reader_table import persons_of, read_body, reader_of
 
@@ -187,13 +187,13 @@ def _raw(
     reader = reader_of(file)
     if reader.distribution:
         return None
-    if isinstance(reader, PointsReader):
-        points = reader.points(MotionFile(file, person=person), given)
-        return _raw_points(found, file, "positions", points, points.places())
-    if reader.format == "positions":
+    if isinstance(reader, PositionsReader):
         points = parse_positions(file)
         names = points.names or mappings.names_in_order(file, len(points.positions))[1]
         return _raw_points(found, file, "positions", points, points.places(names))
+    if isinstance(reader, PointsReader):
+        points = reader.points(MotionFile(file, person=person), given)
+        return _raw_points(found, file, "positions", points, points.places())
     if reader.format == "amass":
         return _raw_poses(found, file, given)
     if reader.format == "c3d":

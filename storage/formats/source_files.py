@@ -32,6 +32,15 @@ def file_size(path: Path) -> int:
         return path.stat().st_size
 
 
+def stamp_of(path: Path) -> tuple[int, int]:
+    """Return the size of a file and the time of its last change in nanoseconds; zeros if it cannot be read."""
+    try:
+        found = path.stat()
+    except OSError:
+        return 0, 0
+    return found.st_size, found.st_mtime_ns
+
+
 def source_bytes(path: str | Path, data: bytes | None = None) -> bytes:
     """Return the bytes of a source file.
 
@@ -101,6 +110,14 @@ def utf8_text(path: str | Path, data: bytes, error: type[SourceError | ConfigErr
         raise error(path, f"is not UTF-8 text (byte {fault.start})") from None
 
 
+def any_text(data: bytes, encoding: str = "utf-8") -> str:
+    """Decode text that is UTF-8 in some files and in any code page in others, of which Latin-1 decodes every byte."""
+    try:
+        return data.decode(encoding)
+    except UnicodeDecodeError:
+        return data.decode("latin-1")
+
+
 def text_of(data: bytes) -> str:
     """Decode bytes as UTF-8 or else as Latin-1; a character truncated at the end is dropped."""
     try:
@@ -111,12 +128,25 @@ def text_of(data: bytes) -> str:
         return data.decode("latin-1")
 
 
+def as_number(text: str | bytes) -> float | None:
+    """Return the number that a text is, in Python's notation; None if it is none."""
+    try:
+        return float(text)
+    except ValueError:
+        return None
+
+
+def first_bytes(path: Path, size: int) -> bytes:
+    """Return the first bytes of a file, for recognition of its format; none if it cannot be read."""
+    try:
+        return part_of(path, size)
+    except SourceError:
+        return b""
+
+
 def beginning(path: Path, size: int = 4096) -> str:
     """Return the first bytes of a file as text, for recognition of its format; empty if it cannot be read."""
-    try:
-        return text_of(part_of(path, size))
-    except SourceError:
-        return ""
+    return text_of(first_bytes(path, size))
 
 
 def load_json(path: Path) -> Any:

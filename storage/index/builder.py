@@ -20,7 +20,7 @@ import xxhash
 from kinedex.ops.errors import StoreError
 from kinedex.ops.search.bit_slices import slice_words
 from kinedex.storage import duck
-from kinedex.storage.disk import sync_file, sync_folder, write_errors
+from kinedex.storage.disk import sync_file, sync_folder, write_errors, write_flushed
 from kinedex.storage.index import tables
 from kinedex.storage.index.generations import (
     BUILDING,
@@ -279,10 +279,7 @@ def _write_record(
         build_seconds=round(seconds, 3),
         takes=store.manifest.takes_digest(),
     )
-    with open(folder / RECORD, "w", encoding="utf-8") as written:
-        written.write(record.to_json())
-        written.flush()
-        os.fsync(written.fileno())
+    write_flushed(folder / RECORD, record.to_json())
 
 
 def _copied(store: Snapshot, file: Path) -> _Start:

@@ -82,7 +82,11 @@ def plan_shards(parts: Iterable[Part], before: Sequence[Shard], shard_frames: in
             dropped[shard.number] = gone
         groups.append(_Group(stays, sum(part.live_rows for part in stays), shard))
     groups = _merged(groups + _packed(loose.values(), shard_frames), shard_frames)
-    kept = tuple(_after(group.shard, group.parts) for group in groups if group.shard is not None)
+    kept = tuple(
+        replace(group.shard, parts=shard_parts(group.parts), frames=sum(part.live_rows for part in group.parts))
+        for group in groups
+        if group.shard is not None
+    )
     numbers = {shard.number for shard in kept}
     return ShardPlan(
         kept,
@@ -122,10 +126,6 @@ def _gone(shard: Shard, stays: tuple[Part, ...]) -> tuple[int, ...]:
         elif _ranges(part) != member.takes:
             gone.update(set(ids(member)).difference(part.live))
     return tuple(sorted(gone))
-
-
-def _after(shard: Shard, parts: tuple[Part, ...]) -> Shard:
-    return replace(shard, parts=shard_parts(parts), frames=sum(part.live_rows for part in parts))
 
 
 def _ranges(part: Part) -> tuple[tuple[int, int], ...]:

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from kinedex.ops.errors import StoreError
-from kinedex.storage.disk import sync_folder
+from kinedex.storage.disk import names_in, sync_folder
 from kinedex.storage.repair.quarantine import KeptFile, Quarantine
 from kinedex.storage.snapshot.manifest import Manifest
 from kinedex.storage.snapshot.manifest_files import (
@@ -119,9 +119,6 @@ def _unnamed(store: Path, sound: list[int]) -> tuple[str, ...]:
     """Return the parts on disk that no undamaged version names."""
     named = set().union(*(named_files(store, version) for version in sound))
     found = (
-        f"{folder}/{name}"
-        for folder in PART_FOLDERS
-        for name in (sorted(os.listdir(store / folder)) if (store / folder).is_dir() else ())
-        if name.startswith("part-")
+        f"{folder}/{name}" for folder in PART_FOLDERS for name in names_in(store / folder) if name.startswith("part-")
     )
     return tuple(path for path in found if path not in named)

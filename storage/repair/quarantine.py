@@ -9,7 +9,7 @@ from dataclasses import asdict, dataclass, field
 from datetime import UTC, datetime
 from pathlib import Path
 
-from kinedex.storage.disk import TEMPORARY, sync_folder, write_errors
+from kinedex.storage.disk import TEMPORARY, names_in, sync_folder, write_errors, write_flushed
 
 FOLDER = "quarantine"
 JOURNAL = "journal"
@@ -156,7 +156,10 @@ class Quarantine:
         path = self.folder / name
         with write_errors(path):
             path.parent.mkdir(parents=True, exist_ok=True)
-            _write(path, text)
+            temporary = path.with_name(f"{TEMPORARY}{path.name}")
+            write_flushed(temporary, text)
+            os.replace(temporary, path)
+            sync_folder(path.parent)
         return path.relative_to(self.store).as_posix()
 
     def write(self) -> None:
@@ -172,8 +175,7 @@ class Quarantine:
 def quarantines(store: Path) -> list[Quarantine]:
     """Return the quarantines of a store, oldest first; one with an unreadable list has no entries."""
     folder = store / FOLDER
-    names = sorted(os.listdir(folder)) if folder.is_dir() else []
-    return [_read(store, name) for name in names if (folder / name).is_dir()]
+    return [_read(store, name) for name in names_in(folder) if (folder / name).is_dir()]
 
 
 def _read(store: Path, name: str) -> Quarantine:
@@ -188,16 +190,6 @@ def _read(store: Path, name: str) -> Quarantine:
         )
     except (OSError, ValueError, KeyError, TypeError):
         return Quarantine(store, name)
-
-
-def _write(path: Path, text: str) -> None:
-    temporary = path.with_name(f"{TEMPORARY}{path.name}")
-    with open(temporary, "w", encoding="utf-8") as file:
-        file.write(text)
-        file.flush()
-        os.fsync(file.fileno())
-    os.replace(temporary, path)
-    sync_folder(path.parent)
 
 
 def _preserve(source: Path, target: Path) -> None:

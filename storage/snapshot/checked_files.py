@@ -9,7 +9,6 @@ from collections.abc import Callable, Iterable
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from threading import Lock
-from typing import NamedTuple
 
 from kinedex.ops.errors import StoreError
 from kinedex.storage.disk import xxh3_of
@@ -20,18 +19,12 @@ from kinedex.storage.snapshot.parts import part_file, read_errors
 _THREADS = min(4, os.cpu_count() or 1)
 """The number of files checked at once: four cores read memory as fast as more."""
 
-
-class _Identity(NamedTuple):
-    """Values that change with every new content of a file, unless the disk is faulty."""
-
-    device: int
-    inode: int
-    bytes: int
-    mtime_ns: int
+_Identity = tuple[int, int, int, int]
+"""Device, inode, bytes and time of a file, which change with every new content, unless the disk is faulty."""
 
 
 def _identity(status: os.stat_result) -> _Identity:
-    return _Identity(status.st_dev, status.st_ino, status.st_size, status.st_mtime_ns)
+    return status.st_dev, status.st_ino, status.st_size, status.st_mtime_ns
 
 
 class CheckedFiles:

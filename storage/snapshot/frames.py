@@ -140,7 +140,12 @@ def _here(part: Part, asked: I64) -> I64 | None:
 
 def _part_words(files: CheckedFiles, part: Part, takes: I64) -> tuple[I64, I64, npt.NDArray[np.uint64]]:
     """Return ids, numbers of frames, and words of the requested takes in one part, without copying a whole part."""
-    table = _read(files, part, ["take_id", "word"], int(takes[0]), int(takes[-1]))
+    path = files.part(part)
+    with read_errors(path):
+        footer = footer_of(path)
+        with pq.ParquetFile(path, metadata=footer.metadata) as file:
+            groups = footer.groups_between(int(takes[0]), int(takes[-1]))  # parts are sorted by take
+            table = file.read_row_groups(groups, ["take_id", "word"])
     ids = table.column("take_id").to_numpy()
     words = words_of(table)
     starts = np.searchsorted(ids, takes, side="left")
@@ -268,12 +273,3 @@ def read_takes(
                         yield take_id, pa.concat_tables(held.pop(take_id)).combine_chunks()
                 for take_id, tables in held.items():
                     yield take_id, pa.concat_tables(tables).combine_chunks()
-
-
-def _read(files: CheckedFiles, part: Part, columns: list[str] | None, lowest: int, highest: int) -> pa.Table:
-    """Read the row groups that can contain takes with ids from lowest to highest; parts are sorted by take."""
-    path = files.part(part)
-    with read_errors(path):
-        footer = footer_of(path)
-        with pq.ParquetFile(path, metadata=footer.metadata) as file:
-            return file.read_row_groups(footer.groups_between(lowest, highest), columns)

@@ -6,7 +6,7 @@ import hashlib
 import json
 import shlex
 import sys
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field
 from datetime import UTC, datetime
 from functools import cache, cached_property
@@ -388,6 +388,12 @@ class Manifest:
     def parts(self) -> tuple[AnyPart, ...]:
         """Every part that this version names."""
         return (*self.frames, *self.takes, *self.labels, *chain.from_iterable(self.results.values()))
+
+    def parts_by_stage(self, *kinds: str) -> Iterator[tuple[list[ResultPart], ...]]:
+        """Yield the parts of some kinds of results, stage by stage in the order of their names."""
+        of_kinds = [self.results.get(kind, ()) for kind in kinds]
+        for stage in sorted({part.stage for parts in of_kinds for part in parts}):
+            yield tuple([part for part in parts if part.stage == stage] for parts in of_kinds)
 
     @property
     def takes_schema(self) -> pa.Schema:

@@ -15,7 +15,7 @@ from typing import Any
 
 from kinedex.catalog.features import FeatureSet
 from kinedex.ops.errors import StoreError
-from kinedex.storage.disk import TEMPORARY, sync_folder, write_errors
+from kinedex.storage.disk import TEMPORARY, names_in, sync_folder, write_errors, write_flushed
 from kinedex.storage.remedies import repair, upgrade
 from kinedex.storage.snapshot.manifest import Manifest
 from kinedex.storage.snapshot.plain_records import record_of
@@ -35,10 +35,7 @@ def manifest_path(store: Path, version: int) -> Path:
 
 def versions(store: Path) -> list[int]:
     """Return the numbers of a store's versions, ascending; empty if there is no store."""
-    folder = store / FOLDER
-    if not folder.is_dir():
-        return []
-    return sorted(int(match[1]) for name in os.listdir(folder) if (match := _NAME.match(name)))
+    return sorted(int(match[1]) for name in names_in(store / FOLDER) if (match := _NAME.match(name)))
 
 
 def read_newest(store: Path) -> Manifest:
@@ -203,10 +200,7 @@ def publish(store: Path, manifest: Manifest) -> Path:
     temporary = path.with_name(f"{TEMPORARY}{uuid.uuid4().hex}.json")
     with write_errors(path):
         try:
-            with open(temporary, "w", encoding="utf-8") as file:
-                file.write(_text(manifest))
-                file.flush()
-                os.fsync(file.fileno())
+            write_flushed(temporary, _text(manifest))
             _link(temporary, path)
         except FileExistsError:
             raise StoreError(

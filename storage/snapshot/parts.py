@@ -213,11 +213,7 @@ class FramesWriter:
     def __exit__(
         self, kind: type[BaseException] | None, value: BaseException | None, trace: TracebackType | None
     ) -> None:
-        if self._writer is not None and self._writer.is_open:
-            # on a full disk, even closing a file to be discarded fails
-            with suppress(OSError):
-                self._writer.close()
-        self._temporary.unlink(missing_ok=True)
+        _discard(self._writer, self._temporary)
 
 
 def frames_writer(sink: Path | BinaryIO, schema: pa.Schema) -> pq.ParquetWriter:
@@ -310,11 +306,16 @@ class _Growing:
 
     def discard(self) -> None:
         """Remove the unfinished file."""
-        if self._writer is not None and self._writer.is_open:
-            # on a full disk, even closing a file to be discarded fails
-            with suppress(OSError):
-                self._writer.close()
-        self._temporary.unlink(missing_ok=True)
+        _discard(self._writer, self._temporary)
+
+
+def _discard(writer: pq.ParquetWriter | None, temporary: Path) -> None:
+    """Remove the unfinished file of a writer."""
+    if writer is not None and writer.is_open:
+        # on a full disk, even closing a file to be discarded fails
+        with suppress(OSError):
+            writer.close()
+    temporary.unlink(missing_ok=True)
 
 
 def publish_part(store: Path, temporary: Path, folder: str, rows: int, take_ids: Iterable[int]) -> Part:
@@ -334,7 +335,9 @@ def read_errors(file: Path) -> Iterator[None]:
         yield
     except (OSError, pa.ArrowException) as fault:
         reason = str(fault).splitlines()[0]
-        raise StoreError(f"{file}: the part cannot be read: {reason}", remedy=repair(store_of(file))) from None
+        # a part's folder lies two levels deep for results, else one
+        store = file.parents[1] if file.parent.name in ("frames", "takes", "labels") else file.parents[2]
+        raise StoreError(f"{file}: the part cannot be read: {reason}", remedy=repair(store)) from None
 
 
 def _rename(temporary: Path, path: Path) -> None:
@@ -347,14 +350,15 @@ def _rename(temporary: Path, path: Path) -> None:
         temporary.unlink()
 
 
+def column_count(file: Path) -> int:
+    """Return the number of columns of a part; those of format 3 do not have it in their manifest."""
+    with read_errors(file):
+        return len(pq.read_schema(file).names)
+
+
 def part_file(store: Path, path: str) -> Path:
     """Return the file of a part; raise StoreError if it is missing."""
     file = store / path
     if not file.is_file():
         raise StoreError(f"{file}: the manifest names this part, but the file is missing", remedy=repair(store))
     return file
-
-
-def store_of(file: Path) -> Path:
-    """Return the store of a part's file, by the depth of its folder: two levels for results, else one."""
-    return file.parents[1] if file.parent.name in ("frames", "takes", "labels") else file.parents[2]

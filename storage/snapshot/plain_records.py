@@ -7,11 +7,12 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import MISSING, fields, is_dataclass
-from functools import cache
+from functools import cache, partial
 from types import MappingProxyType
 from typing import Annotated, Any, Literal, TypeVar, get_args, get_origin, get_type_hints
 
 Record = TypeVar("Record")
+Value = TypeVar("Value")
 
 Reader = Callable[[Any], Any]
 
@@ -36,6 +37,27 @@ def record_of(kind: type[Record], value: object) -> Record:
     return record
 
 
+def _exactly(kind: type[Value], value: Any) -> Value:
+    """Return a value that must be of a type, and not of one below it."""
+    if type(value) is not kind:
+        raise ValueError
+    return value
+
+
+def _number(value: Any) -> float:
+    return float(value) if type(value) is int else _exactly(float, value)
+
+
+def _one_of(words: tuple[Any, ...], value: Any) -> Any:
+    if _exactly(str, value) not in words:
+        raise ValueError
+    return value
+
+
+_PLAIN: dict[Any, Reader] = {kind: partial(_exactly, kind) for kind in (str, int, bool)}
+_READERS = MappingProxyType({**_PLAIN, float: _number, Any: lambda value: value})
+
+
 @cache
 def _reader(kind: Any) -> Reader:
     """Return the function that converts a JSON value to a type, or raises a ValueError."""
@@ -45,82 +67,18 @@ def _reader(kind: Any) -> Reader:
     if origin is Annotated:
         reader: Reader = next(note.read for note in of[1:] if hasattr(note, "read"))
         return reader
-    if origin is tuple:
-        return _list_reader(of[0]) if of[1:] == (...,) else _tuple_reader(of)
-    if origin is dict and of[0] is str:
-        return _dict_reader(of[1])
     if origin is Literal:
-        return _literal_reader(of)
+        return partial(_one_of, of)
+    if origin is tuple and of[1:] != (...,):
+        readers = tuple(map(_reader, of))
+        return lambda value: tuple(one(item) for one, item in zip(readers, _exactly(list, value), strict=True))
+    if origin is tuple:
+        each = _reader(of[0])
+        return lambda value: tuple(map(each, _exactly(list, value)))
+    if origin is dict and of[0] is str:
+        each = _reader(of[1])
+        return lambda value: {_exactly(str, key): each(item) for key, item in _exactly(dict, value).items()}
     return _READERS[kind]
-
-
-def _text(value: Any) -> str:
-    if type(value) is not str:
-        raise ValueError
-    return value
-
-
-def _integer(value: Any) -> int:
-    if type(value) is not int:
-        raise ValueError
-    return value
-
-
-def _number(value: Any) -> float:
-    if type(value) is not float and type(value) is not int:
-        raise ValueError
-    return float(value)
-
-
-def _truth(value: Any) -> bool:
-    if type(value) is not bool:
-        raise ValueError
-    return value
-
-
-_READERS = MappingProxyType({str: _text, int: _integer, float: _number, bool: _truth, Any: lambda value: value})
-
-
-def _literal_reader(words: tuple[Any, ...]) -> Reader:
-    def read(value: Any) -> Any:
-        if type(value) is not str or value not in words:
-            raise ValueError
-        return value
-
-    return read
-
-
-def _list_reader(kind: Any) -> Reader:
-    each = _reader(kind)
-
-    def read(value: Any) -> tuple[Any, ...]:
-        if type(value) is not list:
-            raise ValueError
-        return tuple(map(each, value))
-
-    return read
-
-
-def _tuple_reader(kinds: tuple[Any, ...]) -> Reader:
-    readers = tuple(map(_reader, kinds))
-
-    def read(value: Any) -> tuple[Any, ...]:
-        if type(value) is not list or len(value) != len(readers):
-            raise ValueError
-        return tuple(one(item) for one, item in zip(readers, value, strict=True))
-
-    return read
-
-
-def _dict_reader(kind: Any) -> Reader:
-    each = _reader(kind)
-
-    def read(value: Any) -> dict[str, Any]:
-        if type(value) is not dict:
-            raise ValueError
-        return {_text(key): each(item) for key, item in value.items()}
-
-    return read
 
 
 def _dataclass_reader(kind: type) -> Reader:
@@ -129,7 +87,7 @@ def _dataclass_reader(kind: type) -> Reader:
     needed = {one.name for one in fields(kind) if one.default is MISSING and one.default_factory is MISSING}
 
     def read(value: Any) -> Any:
-        if type(value) is not dict or not needed <= value.keys():
+        if not needed <= _exactly(dict, value).keys():
             raise ValueError
         return kind(**{name: each(value[name]) for name, each in readers.items() if name in value})
 

@@ -166,6 +166,9 @@ listed: older parts lack it, and its values in their rows are null.
 RESULT_KINDS = tuple(_RESULTS)
 """The kinds of results; each has a folder in `results/` and a view of that name."""
 
+DATABASE = "kinedex.duckdb"
+"""The file in a store that has all views for other DuckDB clients (`storage.store.database_file`)."""
+
 PART_FOLDERS = ("frames", "takes", "labels", *(f"results/{kind}" for kind in RESULT_KINDS))
 """The folders of parts, relative to the store."""
 

@@ -56,16 +56,11 @@ def current_pipeline(manifest: Manifest) -> str | None:
     return next(iter(pipelines_by_use(manifest)), None)
 
 
-def pipelines_with(manifest: Manifest, kind: str) -> tuple[str, ...]:
-    """Return the pipelines with a stage that makes a kind of results, in the order of `pipelines_by_use`."""
-    making = {pipeline_of(part.stage) for part in manifest.results.get(kind, ())}
-    making |= {pipeline_of(key) for key, one in manifest.stages.items() if one.summary.get("uses") in _STAGES_OF[kind]}
-    return tuple(name for name in pipelines_by_use(manifest) if name in making)
-
-
 def shown_pipeline(manifest: Manifest, kind: str) -> str | None:
     """Return the pipeline whose rows of a kind of `PIPELINE_KINDS` are shown; None if no pipeline makes the kind."""
-    return next(iter(pipelines_with(manifest, kind)), None)
+    making = {pipeline_of(part.stage) for part in manifest.results.get(kind, ())}
+    making |= {pipeline_of(key) for key, one in manifest.stages.items() if one.summary.get("uses") in _STAGES_OF[kind]}
+    return next((name for name in pipelines_by_use(manifest) if name in making), None)
 
 
 def shown_parts(manifest: Manifest, kind: str) -> tuple[ResultPart, ...]:

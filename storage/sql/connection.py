@@ -70,8 +70,10 @@ def connect(store: Snapshot, threads: int | None = None, memory_mb: int | None =
     connection = duck.connect(threads, memory_mb)
     try:
         index = _attach_index(connection, store)
-        if index is None:
-            _define_failing(connection, store)
+        # a query over a view of a missing index fails with the reason
+        for view in VIEWS if index is None else ():
+            if view.name in INDEXED:
+                _define_view_that_fails(connection, view, str(missing_index(store.path, store.manifest)))
         Definitions(connection, store, index, complete=True).make(NAMES)
     except BaseException:
         connection.close()
@@ -101,7 +103,8 @@ class Connections:
             self._index = _attach_index(self._first, store)
             first = Definitions(self._first, store, self._index)
             duck.allow_only(self._first, [store.path, *files])
-            duck.lock_settings(self._first)
+            # settings that write files (logs, profiles) fail from now on
+            self._first.execute("SET lock_configuration = true")
         except BaseException:
             self._first.close()
             raise
@@ -244,13 +247,6 @@ def _define_labels(connection: duck.Connection, store: Snapshot) -> None:
         _define_view_that_fails(connection, view, str(fault))
 
 
-def _define_failing(connection: duck.Connection, store: Snapshot) -> None:
-    """Define substitutes for the views of a missing index, so that a query over them fails with the reason."""
-    for view in VIEWS:
-        if view.name in INDEXED:
-            _define_view_that_fails(connection, view, str(missing_index(store.path, store.manifest)))
-
-
 def _define_view_that_fails(connection: duck.Connection, view: View, reason: str) -> None:
     failing = f"error({duck.quote(reason)})"
     # the columns must fail as well: DuckDB would skip a view whose condition on NULL columns can never hold
@@ -298,7 +294,7 @@ def run_query(
     lent : Definitions
         The connection to run it on.
     text : str
-        The query, as in `storage.sql.queries.read_query`.
+        The query, as in `storage.sql.queries.bounded_query`.
     parameters : sequence or dict, optional
         Values for its `?`, or for its `$name`.
     files : bool, optional

@@ -47,39 +47,10 @@ class Answer:
     counted: bool = True
 
 
-def read_query(
-    connection: Connection,
-    text: str,
-    parameters: Parameters = None,
-    macros: Iterable[str] = (),
-    *,
-    files: bool = False,
-    max_rows: int | None = None,
+def _answer(
+    connection: Connection, text: str, parameters: Parameters, macros: Iterable[str], files: bool, max_rows: int | None
 ) -> Answer:
-    """Run one read-only query and return its result.
-
-    Parameters
-    ----------
-    connection : Connection
-        The connection to run it on.
-    text : str
-        One statement that only reads: SELECT, FROM, WITH, VALUES, TABLE, PIVOT, EXPLAIN, DESCRIBE, SHOW, SUMMARIZE,
-        or one of a few PRAGMAs.
-    parameters : sequence or dict, optional
-        Values for its `?`, or for its `$name`.
-    macros : iterable of str, optional
-        Names of the macros that it may call.
-    files : bool, optional
-        If True, it may read files (with `read_csv`, for example) where the connection's settings allow it.
-    max_rows : int, optional
-        Largest number of rows to return; the others are counted, up to `COUNTED`, and not kept in memory.
-
-    Raises
-    ------
-    KinedexError
-        The query would change something, holds several statements, or DuckDB refuses it; an `UnknownName` for an
-        unknown table or function, an `Unreadable` for a file that cannot be read.
-    """
+    """Run one read-only query on the calling thread, and return its result as `bounded_query` does."""
     try:
         relation: duckdb.DuckDBPyRelation | None = connection.sql(
             checked(connection, text, macros, files=files), params=parameters
@@ -139,30 +110,38 @@ def bounded_query(
     timeout: float | None = None,
     max_rows: int | None = None,
 ) -> Answer:
-    """Run a query as `read_query` does, so that Ctrl-C and a time limit end it.
+    """Run one read-only query and return its result; Ctrl-C and a time limit end it.
 
     Parameters
     ----------
-    connection, text, parameters, macros, files, max_rows
-        As for `read_query`.
+    connection : Connection
+        The connection to run it on.
+    text : str
+        One statement that only reads: SELECT, FROM, WITH, VALUES, TABLE, PIVOT, EXPLAIN, DESCRIBE, SHOW, SUMMARIZE,
+        or one of a few PRAGMAs.
+    parameters : sequence or dict, optional
+        Values for its `?`, or for its `$name`.
+    macros : iterable of str, optional
+        Names of the macros that it may call.
+    files : bool, optional
+        If True, it may read files (with `read_csv`, for example) where the connection's settings allow it.
     timeout : float, optional
         Time limit in seconds; None for no limit.
+    max_rows : int, optional
+        Largest number of rows to return; the others are counted, up to `COUNTED`, and not kept in memory.
 
     Raises
     ------
     TimeLimitError, KeyboardInterrupt
         As for `storage.interruption.run_bounded`.
     KinedexError
-        As for `read_query`.
+        The query would change something, holds several statements, or DuckDB refuses it; an `UnknownName` for an
+        unknown table or function, an `Unreadable` for a file that cannot be read.
     """
     if max_rows is not None and max_rows < 0:
         raise ParameterError("max_rows", "at least 0", max_rows)
 
-    return run_bounded(
-        connection,
-        lambda: read_query(connection, text, parameters, macros, files=files, max_rows=max_rows),
-        timeout,
-    )
+    return run_bounded(connection, lambda: _answer(connection, text, parameters, macros, files, max_rows), timeout)
 
 
 def _tokens(text: str) -> list[tuple[int, str]]:

@@ -3,11 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
-from pathlib import Path
 
 import numpy as np
 import pyarrow as pa
-import pyarrow.parquet as pq
 
 from kinedex.catalog.sql.columns import ORIGIN
 from kinedex.catalog.sql.result_views import ALL
@@ -16,7 +14,7 @@ from kinedex.ops.intervals import in_seconds
 from kinedex.storage import duck
 from kinedex.storage.snapshot.labels import current_labels
 from kinedex.storage.snapshot.manifest import ResultPart
-from kinedex.storage.snapshot.parts import part_file, read_errors
+from kinedex.storage.snapshot.parts import column_count, part_file
 from kinedex.storage.snapshot.schemas import RESULT_KINDS, result_schema
 from kinedex.storage.snapshot.shown_results import origin_of, shown_parts
 from kinedex.storage.snapshot.snapshot import Snapshot
@@ -43,17 +41,11 @@ def _scans(store: Snapshot, kind: str, parts: Iterable[ResultPart]) -> list[duck
     found: dict[tuple[object, ...], duck.ResultScan] = {}
     for part in parts:
         file = part_file(store.path, part.path)
-        width, origin = part.columns or _columns_of(file), origin_of(store.manifest, kind, part)
+        width, origin = part.columns or column_count(file), origin_of(store.manifest, kind, part)
         key = (width, *origin.values())
         others = found[key].files if key in found else ()
         found[key] = duck.ResultScan((*others, file), width, origin)
     return list(found.values())
-
-
-def _columns_of(file: Path) -> int:
-    """Return the number of columns of a part of format 3, whose manifest does not record it."""
-    with read_errors(file):
-        return len(pq.read_schema(file).names)
 
 
 _COLUMNS = [column.name for view in VIEWS if view.name == "label_history" for column in view.columns]

@@ -22,11 +22,10 @@ from kinedex.storage.index.generations import read_generation
 from kinedex.storage.index.surface import features_table, help_table, index_statements
 from kinedex.storage.snapshot.manifest_files import FOLDER
 from kinedex.storage.snapshot.parts import part_file
-from kinedex.storage.snapshot.schemas import RESULT_KINDS, frames_schema
+from kinedex.storage.snapshot.schemas import DATABASE, RESULT_KINDS, frames_schema
 from kinedex.storage.snapshot.shown_results import pipeline_runs
 from kinedex.storage.sql.result_scans import ALL_VIEWS, result_select, shown_labels
 from kinedex.storage.store.store import Store, open_store
-from kinedex.storage.store.writer import DATABASE
 
 
 def write_database(store: Store) -> Path:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 import shutil
 import time
 from bisect import bisect_left
@@ -14,7 +13,7 @@ from datetime import datetime
 from pathlib import Path
 
 from kinedex.ops.errors import ParameterError, StoreError
-from kinedex.storage.disk import TEMPORARY, write_errors
+from kinedex.storage.disk import TEMPORARY, names_in, write_errors
 from kinedex.storage.index.generations import (
     BUILDING,
     GENERATION,
@@ -132,7 +131,11 @@ def collect(
         old = _old_versions(root, keep, older_than_seconds)
         opened = open_versions(root, old)
         busy = {one.version for one in opened}
-        manifests = {version: _manifest(root, version) for version in old if version not in busy}
+        files = {version: manifest_path(root, version) for version in old if version not in busy}
+        manifests = {
+            version: Garbage(f"{FOLDER}/{path.name}", path.stat().st_size, "old version")
+            for version, path in files.items()
+        }
         unneeded = _unneeded(root, manifests)
         if not dry_run:
             late = [version for version in manifests if not _remove_version(root, version)]
@@ -185,11 +188,6 @@ def _committed(root: Path, version: int) -> float:
         return manifest_path(root, version).stat().st_mtime
 
 
-def _manifest(root: Path, version: int) -> Garbage:
-    path = manifest_path(root, version)
-    return Garbage(f"{FOLDER}/{path.name}", path.stat().st_size, "old version")
-
-
 def _remove_version(root: Path, version: int) -> bool:
     """Remove a version unless a reader has it open; return whether it was removed."""
     with without_readers(root, version) as free:
@@ -208,7 +206,7 @@ def _parts(root: Path, stay: list[int]) -> Iterator[Garbage]:
     needed = set().union(*(named_files(root, version) for version in stay))
     for folder in PART_FOLDERS:
         kind = f"{folder.split('/')[0]} part"
-        for name in sorted(os.listdir(root / folder)) if (root / folder).is_dir() else ():
+        for name in names_in(root / folder):
             if name.startswith("part-") and f"{folder}/{name}" not in needed:
                 yield Garbage(f"{folder}/{name}", (root / folder / name).stat().st_size, kind)
 

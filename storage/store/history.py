@@ -12,14 +12,16 @@ import json
 import os
 import re
 from collections.abc import Iterable, Iterator
+from contextlib import suppress
 from dataclasses import asdict, dataclass, field, replace
+from functools import partial
 from pathlib import Path
 from typing import Any, Literal
 
 from pydantic import TypeAdapter, ValidationError
 
 from kinedex.ops.errors import StoreError
-from kinedex.storage.disk import replace_file, sync_file, sync_folder, write_errors, xxh3_of
+from kinedex.storage.disk import names_in, replace_file, sync_folder, write_errors, write_flushed, xxh3_of
 from kinedex.storage.remedies import repair
 from kinedex.storage.snapshot.manifest import Manifest, PipelineRecord, StageRecord
 from kinedex.storage.snapshot.manifest_files import json_checksum, read_newest, read_version, versions
@@ -290,13 +292,7 @@ def list_runs(store: Path) -> list[PipelineRun]:
         There is no store.
     """
     read_newest(store)
-    found = {}
-    for name in _files(store):
-        try:
-            run = _read(store, name)
-        except StoreError:
-            continue
-        found[run.run] = run
+    found = {run.run: run for run in map(partial(_read_sound, store), _files(store)) if run is not None}
     for run in _runs_of_manifests(store):
         found.setdefault(run.run, run)
     return sorted(found.values(), key=lambda run: (run.begun or run.finished, run.run))
@@ -304,14 +300,8 @@ def list_runs(store: Path) -> list[PipelineRun]:
 
 def last_run(store: Path, pipeline: str) -> PipelineRun | None:
     """Return the latest run of a pipeline, which may be running; None if the history has none."""
-    for name in reversed(_files(store)):
-        try:
-            run = _read(store, name)
-        except StoreError:
-            continue
-        if run.pipeline == pipeline:
-            return run
-    return None
+    runs = map(partial(_read_sound, store), reversed(_files(store)))
+    return next((run for run in runs if run is not None and run.pipeline == pipeline), None)
 
 
 def history_problems(store: Path) -> Iterator[tuple[str, str]]:
@@ -322,14 +312,13 @@ def history_problems(store: Path) -> Iterator[tuple[str, str]]:
         except StoreError as fault:
             yield f"{FOLDER}/{name}", str(fault).partition(": ")[2].partition(";")[0]
     folder = store / FILES
-    for name in sorted(os.listdir(folder)) if folder.is_dir() else ():
+    for name in names_in(folder):
         if _SHA256.match(name) and hashlib.sha256((folder / name).read_bytes()).hexdigest() != name:
             yield f"{FILES}/{name}", "its content does not fit its checksum"
 
 
 def _files(store: Path) -> list[str]:
-    folder = store / FOLDER
-    return sorted(name for name in os.listdir(folder) if _NAME.match(name)) if folder.is_dir() else []
+    return [name for name in names_in(store / FOLDER) if _NAME.match(name)]
 
 
 def _read(store: Path, name: str) -> PipelineRun:
@@ -349,18 +338,20 @@ def _read(store: Path, name: str) -> PipelineRun:
     return run
 
 
+def _read_sound(store: Path, name: str) -> PipelineRun | None:
+    """Return a run of the history; None if its file is damaged."""
+    with suppress(StoreError):
+        return _read(store, name)
+    return None
+
+
 def _write(path: Path, content: bytes) -> None:
     with write_errors(path):
         if not path.parent.is_dir():
             path.parent.mkdir(parents=True, exist_ok=True)
             sync_folder(path.parent.parent)
-        replace_file(path, lambda unfinished: _flushed(unfinished, content))
+        replace_file(path, lambda unfinished: write_flushed(unfinished, content))
         sync_folder(path.parent)
-
-
-def _flushed(path: Path, content: bytes) -> None:
-    path.write_bytes(content)
-    sync_file(path)
 
 
 def _runs_of_manifests(store: Path) -> Iterator[PipelineRun]:

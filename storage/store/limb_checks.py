@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from collections import Counter, defaultdict
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from functools import partial
 from itertools import pairwise
 from typing import Any
 
@@ -29,10 +30,7 @@ def imu_problems(store: Snapshot) -> Iterator[tuple[str, str]]:
     store : Snapshot
         A version whose part files are undamaged.
     """
-    results = store.manifest.results
-    kinds = ("imu_recordings", "imu_samples")
-    for stage in sorted({part.stage for kind in kinds for part in results.get(kind, ())}):
-        sensors, samples = ([part for part in results.get(kind, ()) if part.stage == stage] for kind in kinds)
+    for sensors, samples in store.manifest.parts_by_stage("imu_recordings", "imu_samples"):
         yield from _stage_problems(store, sensors, samples)
 
 
@@ -47,12 +45,10 @@ def _stage_problems(store: Snapshot, sensors: list[ResultPart], samples: list[Re
                 expected[key] = row["samples"] if row["limb"] is not None else 0
     found: dict[tuple[str, str], int] = defaultdict(int)
     last: dict[tuple[str, str], float] = {}
-    for part in samples:
-        for piece in store.result_pieces("imu_samples", [part]):
-            problem = _piece_problem(piece, found, last)
-            if problem is not None:
-                yield part.path, problem
-                return
+    wrong = _first_problem(store, "imu_samples", samples, lambda _, piece: _piece_problem(piece, found, last))
+    if wrong:
+        yield from wrong
+        return
     for key in sorted(expected.keys() | found.keys()):
         if expected.get(key, 0) != found[key]:
             path = (samples or sensors)[0].path
@@ -60,10 +56,19 @@ def _stage_problems(store: Snapshot, sensors: list[ResultPart], samples: list[Re
             return
 
 
-def _piece_problem(
-    piece: pa.Table, found: dict[tuple[str, str], int], last: dict[tuple[str, str], float]
-) -> str | None:
-    """Return the problem of a piece of samples, None if there is none, and count its samples in `found`."""
+def _first_problem(
+    store: Snapshot, kind: str, parts: Sequence[ResultPart], check: Callable[[ResultPart, pa.Table], str]
+) -> list[tuple[str, str]]:
+    """Return the first part with a problem in one of its pieces, and the problem; empty if there is none."""
+    for part in parts:
+        for piece in store.result_pieces(kind, [part]):
+            if problem := check(part, piece):
+                return [(part.path, problem)]
+    return []
+
+
+def _piece_problem(piece: pa.Table, found: dict[tuple[str, str], int], last: dict[tuple[str, str], float]) -> str:
+    """Return the problem of a piece of samples, and count its samples in `found`."""
     names, sensors = (piece.column(name).to_numpy(zero_copy_only=False) for name in ("recording", "sensor"))
     numbers, times = piece.column("sample").to_numpy(), piece.column("t").to_numpy()
     squares = [pc.struct_field(piece.column("orientation"), axis).to_numpy() ** 2 for axis in "wxyz"]
@@ -82,7 +87,7 @@ def _piece_problem(
             return f"{where}: an orientation must have the length 1"
         found[key] += stop - start
         last[key] = float(times[stop - 1])
-    return None
+    return ""
 
 
 _OFF_LENGTH = 1e-3
@@ -107,8 +112,9 @@ def limb_problems(store: Snapshot) -> Iterator[tuple[str, str]]:
             problem = next((text for text in map(check, rows) if text), "")
             if problem:
                 yield part.path, problem
-    for stage in sorted({part.stage for part in results.get("limb_orientations", ())}):
-        yield from _limb_problems(store, [part for part in results["limb_orientations"] if part.stage == stage])
+    for (parts,) in store.manifest.parts_by_stage("limb_orientations"):
+        counts = Counter[tuple[str, str]]()
+        yield from _first_problem(store, "limb_orientations", parts, partial(_frames_problem, counts))
 
 
 def _clock_problem(row: dict[str, Any]) -> str:
@@ -134,15 +140,8 @@ def _mount_problem(row: dict[str, Any]) -> str:
     return "" if all(0.0 <= value <= 1.0 for value in shares) else f"{name} has a share beyond 0 and 1"
 
 
-def _limb_problems(store: Snapshot, parts: Sequence[ResultPart]) -> Iterator[tuple[str, str]]:
-    """Yield the first problem of the limbs of one stage."""
-    counts: Counter[tuple[str, str]] = Counter()
-    for part in parts:
-        for piece in store.result_pieces("limb_orientations", [part]):
-            problem = _order_problem(piece, counts) or _turn_problem(piece)
-            if problem:
-                yield part.path, problem
-                return
+def _frames_problem(counts: Counter[tuple[str, str]], _: ResultPart, piece: pa.Table) -> str:
+    return _order_problem(piece, counts) or _turn_problem(piece)
 
 
 def _order_problem(piece: pa.Table, counts: Counter[tuple[str, str]]) -> str:
@@ -162,7 +161,9 @@ def _order_problem(piece: pa.Table, counts: Counter[tuple[str, str]]) -> str:
 
 def _turn_problem(piece: pa.Table) -> str:
     """Return the problem of the first frame with an invalid rotation, or that is valid without a rotation."""
-    squares = _squares(piece.column("orientation"), "wxyz")
+    turns = piece.column("orientation").combine_chunks()
+    axes = [pc.struct_field(turns, axis).to_numpy(zero_copy_only=False) for axis in "wxyz"]
+    squares = np.asarray(np.sum([np.square(axis.astype(np.float64)) for axis in axes], axis=0))
     wrong = np.flatnonzero(np.abs(squares - 1.0) > _OFF_LENGTH)  # NaN, which stands for unknown, compares as False
     if len(wrong):
         return f"{_named(piece, int(wrong[0]))} has an orientation that is not of length 1"
@@ -171,12 +172,6 @@ def _turn_problem(piece: pa.Table) -> str:
     has = np.where(needed == "direction", known["direction"], known["orientation"])
     wrong = np.flatnonzero(piece.column("valid").to_numpy().astype(np.bool_) & ~has)
     return f"{_named(piece, int(wrong[0]))} is valid without its {needed[wrong[0]]}" if len(wrong) else ""
-
-
-def _squares(column: pa.ChunkedArray, axes: str) -> npt.NDArray[np.float64]:
-    """Return the squared lengths of STRUCT vectors; NaN for nulls."""
-    parts = [pc.struct_field(column.combine_chunks(), axis).to_numpy(zero_copy_only=False) for axis in axes]
-    return np.asarray(np.sum([np.square(part.astype(np.float64)) for part in parts], axis=0))
 
 
 def _named(piece: pa.Table, row: int) -> str:
@@ -206,12 +201,11 @@ def limb_error_problems(store: Snapshot) -> Iterator[tuple[str, str]]:
     """
     results = store.manifest.results
     frames: dict[tuple[str, int, str], int] = {}
-    for part in results.get("limb_errors", ()):
-        for piece in store.result_pieces("limb_errors", [part]):
-            problem = _error_problem(part.stage, piece, frames)
-            if problem:
-                yield part.path, problem
-                return
+    errors = results.get("limb_errors", ())
+    wrong = _first_problem(store, "limb_errors", errors, lambda part, rows: _error_problem(part.stage, rows, frames))
+    if wrong:
+        yield from wrong
+        return
     checks = {
         "limb_error_runs": _run_problem,
         "limb_labels": _label_problem,

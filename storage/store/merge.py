@@ -70,7 +70,8 @@ def merge_store(
     renamed = {name: f"{prefix}{name}" for name in other.take_ids}
     _require_new_names(writer.store, renamed, other)
     # assign ids in the order of the other store's ids, by which its parts are sorted
-    ids = {take: writer.assign_take_ids([renamed[name]])[renamed[name]] for name, take in _by_id(other)}
+    by_id = sorted(other.take_ids.items(), key=lambda pair: pair[1])
+    ids = {take: writer.assign_take_ids([renamed[name]])[renamed[name]] for name, take in by_id}
     parts = []
     for part in other.manifest.frames:
         parts.append(_copied(writer, other, part, ids))
@@ -83,14 +84,13 @@ def merge_store(
     writer.declare_columns(other.manifest.columns)
     if parts:
         writer.add_takes(rows, parts)
-    labels = _put_labels(writer, other, prefix)
+    labels = other.labels(history=True)
+    names = pa.array([f"{prefix}{name}" for name in labels.column("take").to_pylist()], pa.string())
+    labels = labels.set_column(labels.schema.get_field_index("take"), "take", names)
+    put = int(writer.put_labels(labels.replace_schema_metadata(None)).num_rows)
     kept = _put_sources(writer, other.manifest)
     writer.commit()
-    return Merged(len(ids), sum(other.take_frames.values()), labels, kept)
-
-
-def _by_id(store: Store) -> list[tuple[str, int]]:
-    return sorted(store.take_ids.items(), key=lambda pair: pair[1])
+    return Merged(len(ids), sum(other.take_frames.values()), put, kept)
 
 
 def _require_fitting(writer: StoreWriter, other: Store) -> None:
@@ -149,13 +149,6 @@ def _copied(writer: StoreWriter, other: Store, part: Part, ids: Mapping[int, int
     with FramesWriter(writer.path, manifest.feature_set, manifest.rate_hz) as frames:
         frames.add_pieces(new.tolist(), pieces())
         return frames.close()
-
-
-def _put_labels(writer: StoreWriter, other: Store, prefix: str) -> int:
-    labels = other.labels(history=True)
-    names = pa.array([f"{prefix}{name}" for name in labels.column("take").to_pylist()], pa.string())
-    renamed = labels.set_column(labels.schema.get_field_index("take"), "take", names)
-    return int(writer.put_labels(renamed.replace_schema_metadata(None)).num_rows)
 
 
 def _put_sources(writer: StoreWriter, theirs: Manifest) -> tuple[str, ...]:

@@ -30,15 +30,11 @@ def pose_problems(store: Snapshot) -> Iterator[tuple[str, str]]:
     store : Snapshot
         A version whose part files are undamaged.
     """
-    takes = store.manifest.results.get("pose_takes", ())
-    poses = store.manifest.results.get("poses", ())
-    for stage in sorted({part.stage for part in (*takes, *poses)}):
-        own = [part for part in takes if part.stage == stage]
-        of_stage = [part for part in poses if part.stage == stage]
-        if not own:
-            yield of_stage[0].path, f"holds poses of {stage}, which has no rows of their takes"
+    for takes, poses in store.manifest.parts_by_stage("pose_takes", "poses"):
+        if not takes:
+            yield poses[0].path, f"holds poses of {poses[0].stage}, which has no rows of their takes"
         else:
-            yield from _stage_problems(store, of_stage, own)
+            yield from _stage_problems(store, poses, takes)
 
 
 def _stage_problems(
@@ -66,7 +62,9 @@ def _stage_problems(
     if seen != starts[-1]:
         yield takes[0].path, f"counts {starts[-1]} poses, and there are {seen}"
         return
-    kept = np.concatenate([np.empty(0, np.int64), *_columns(store, poses, "frame")])
+    pieces = store.result_pieces("poses", poses)
+    frames_of_poses = [piece.column("frame").to_numpy().astype(np.int64) for piece in pieces]
+    kept = np.concatenate([np.empty(0, np.int64), *frames_of_poses])
     for k, name in enumerate(names):
         stands_for = frames[k].values.fill_null(-1).to_numpy(zero_copy_only=False)
         own = np.arange(starts[k], starts[k + 1])
@@ -75,11 +73,6 @@ def _stage_problems(
             yield takes[0].path, f"take {name} names frames or poses that do not exist"
         elif np.any(at < 0) or not np.array_equal(stands_for[at], own):
             yield takes[0].path, f"take {name} has frames that are poses, and others stand for them"
-
-
-def _columns(store: Snapshot, parts: Sequence[ResultPart], column: str) -> Iterator[np.ndarray]:
-    for piece in store.result_pieces("poses", parts):
-        yield piece.column(column).to_numpy().astype(np.int64)
 
 
 def _piece_problem(piece: pa.Table, first: int) -> str | None:
@@ -122,16 +115,12 @@ def reconstruction_problems(store: Snapshot) -> Iterator[tuple[str, str]]:
     store : Snapshot
         A version whose part files are undamaged.
     """
-    results = store.manifest.results
-    for stage in sorted({part.stage for kind in _KINDS for part in results.get(kind, ())}):
-        parts = {kind: [part for part in results.get(kind, ()) if part.stage == stage] for kind in _KINDS}
+    for parts in store.manifest.parts_by_stage(*_KINDS):
         try:
             _check_stage(store, parts)
         except _Problem as found:
             yield found.args
-    errors = results.get("reconstruction_errors", ())
-    for stage in sorted({part.stage for part in errors}):
-        own = [part for part in errors if part.stage == stage]
+    for (own,) in store.manifest.parts_by_stage("reconstruction_errors"):
         problem = _errors_problem(pa.concat_tables(store.result_pieces("reconstruction_errors", own)))
         if problem:
             yield own[0].path, problem
@@ -200,20 +189,21 @@ def _check_joints(part: ResultPart, piece: pa.Table) -> None:
         raise _Problem(part.path, f"has joints that are not {3 * len(JOINTS)} numbers")
 
 
-def _check_stage(store: Snapshot, parts: dict[str, list[ResultPart]]) -> None:
+def _check_stage(store: Snapshot, parts: Sequence[Sequence[ResultPart]]) -> None:
     """Raise the first problem of the results of a stage."""
     key, frame = ("take_id", "take"), ("take_id", "source_frame")
     own = ("hypothesis", "direction", "archive_take", "archive_frame")
-    takes = _rows(store, _KINDS[0], parts[_KINDS[0]], (*key, "source_frames", "unseen_frames"), ("take_id",))
+    takes = _rows(store, _KINDS[0], parts[0], (*key, "source_frames", "unseen_frames"), ("take_id",))
     costs = ("cost_local", "cost_database", "joints")
-    frames = _rows(store, _KINDS[1], parts[_KINDS[1]], (*key, "source_frame", *own, *costs), frame)
-    votes = _rows(
-        store, _KINDS[2], parts[_KINDS[2]], (*key, "source_frame", *own, "candidate", "cost", "winner"), frame
-    )
+    frames = _rows(store, _KINDS[1], parts[1], (*key, "source_frame", *own, *costs), frame)
+    votes = _rows(store, _KINDS[2], parts[2], (*key, "source_frame", *own, "candidate", "cost", "winner"), frame)
     takes.check(np.diff(takes["take_id"], prepend=-1) == 0, "has two rows")
     _check_takes(takes, frames)
     for rows in (frames, votes):
-        _check_origins(rows)
+        rows.check(
+            _given(rows["archive_take"]) != (rows["archive_frame"] >= 0),
+            "names an archive take without a frame, or a frame without a take",
+        )
     _check_votes(frames, votes)
 
 
@@ -268,14 +258,6 @@ def _check_votes(frames: _Rows, votes: _Rows) -> None:
         won.check(lent & np.not_equal(won[name], posed[name]), "has a winner of another origin than the frame")
     numbered = np.equal(votes["hypothesis"], "database") == (votes["candidate"] > 0)
     votes.check(~numbered, "has a candidate without a number, or a number that is no candidate's")
-
-
-def _check_origins(rows: _Rows) -> None:
-    """Check that archive takes and their frames are either both given or both null."""
-    rows.check(
-        _given(rows["archive_take"]) != (rows["archive_frame"] >= 0),
-        "names an archive take without a frame, or a frame without a take",
-    )
 
 
 def _given(values: npt.NDArray[Any]) -> npt.NDArray[np.bool_]:

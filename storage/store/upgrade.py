@@ -32,7 +32,7 @@ from kinedex.storage.snapshot.manifest import (
     running_command,
 )
 from kinedex.storage.snapshot.manifest_files import FOLDER, publish, read_newest
-from kinedex.storage.snapshot.parts import read_errors, write_part
+from kinedex.storage.snapshot.parts import column_count, read_errors, write_part
 from kinedex.storage.snapshot.schemas import (
     FORMAT_VERSION,
     GROUP_COLUMN,
@@ -268,7 +268,7 @@ def _upgraded(
     takes = tuple(new.get(part.path, replace(part, xxh3=sums.get(part.path, ""))) for part in manifest.takes)
     results = {
         kind: tuple(
-            replace(part, xxh3=sums[part.path], columns=_width(root, part.path)) if part.path in sums else part
+            replace(part, xxh3=sums[part.path], columns=column_count(root / part.path)) if part.path in sums else part
             for part in parts
         )
         for kind, parts in manifest.results.items()
@@ -288,11 +288,6 @@ def _upgraded(
         sources=_sources(root, takes, manifest.stages, sums),
         pipelines=_pipelines(manifest.stages),
     )
-
-
-def _width(root: Path, path: str) -> int:
-    with read_errors(root / path):
-        return len(pq.read_schema(root / path).names)
 
 
 def _with_groups(root: Path, part: Part, columns: dict[str, TakeColumn]) -> Part:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import hashlib
-import os
 import shlex
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Sequence
@@ -18,6 +17,7 @@ import pyarrow.parquet as pq
 
 from kinedex.ops.errors import KinedexError, Remedy, StoreError
 from kinedex.storage import duck
+from kinedex.storage.disk import names_in
 from kinedex.storage.index.generations import (
     INDEX_VERSION,
     RECORD,
@@ -145,7 +145,7 @@ class _Verification:
             *self._live_twice("takes", self.manifest.takes),
             *self._reports(),
             *self._leftovers(),
-            *self._history(),
+            *(self._found("leftover", file, problem) for file, problem in history_problems(self.store.path)),
             *self._index(sound=not parts),
             *self._quarantines(),
         ]
@@ -199,14 +199,11 @@ class _Verification:
                     found = self._file("results", result, result_schema(kind)) or self._result_rows(result)
                     sound &= not found
                     yield from found
-        for file, problem in self._result_problems() if sound else ():
-            yield self._found("results", file, problem)
-
-    def _result_problems(self) -> Iterator[tuple[str, str]]:
-        """Yield the problems of the results of tracking, reconstruction and sensors, whose rows must fit each other."""
+        # the rows of tracking, reconstruction and sensors must fit each other
         checks = (pose_problems, reconstruction_problems, imu_problems, limb_problems, limb_error_problems)
-        for problems in checks:
-            yield from problems(self.store)
+        for problems in checks if sound else ():
+            for file, problem in problems(self.store):
+                yield self._found("results", file, problem)
 
     def _file(self, kind: Kind, part: AnyPart, schema: pa.Schema) -> list[Finding]:
         """Check a part as a file: size, checksum, number of rows, schema."""
@@ -288,17 +285,14 @@ class _Verification:
         except KinedexError:
             return  # reported above; the parts that a damaged manifest names are unknown
         for folder in PART_FOLDERS:
-            for name in sorted(os.listdir(path / folder)) if (path / folder).is_dir() else ():
+            for name in names_in(path / folder):
                 if f"{folder}/{name}" not in named:
-                    problem = "no manifest names this file" + (", which a killed run has left" if _ours(name) else "")
+                    ours = name.startswith((".tmp-", "part-"))
+                    problem = "no manifest names this file" + (", which a killed run has left" if ours else "")
                     yield self._found("leftover", f"{folder}/{name}", problem, fault=False)
         for name in unfinished_files(path):
             if name.rpartition("/")[0] not in PART_FOLDERS:
                 yield self._found("leftover", name, "is unfinished: a run was killed, or is at work", fault=False)
-
-    def _history(self) -> Iterator[Finding]:
-        for file, problem in history_problems(self.store.path):
-            yield self._found("leftover", file, problem)
 
     def _index(self, *, sound: bool) -> Iterator[Finding]:
         """Check the index; compare its content with the words of the parts only if these are undamaged."""
@@ -370,7 +364,3 @@ def _file_problem(file: Path, part: AnyPart, schema: pa.Schema) -> str | None:
     if metadata.num_rows != part.rows:
         return f"has {metadata.num_rows} rows, the manifest records {part.rows}"
     return schema_problem(metadata.schema.to_arrow_schema(), schema)
-
-
-def _ours(name: str) -> bool:
-    return name.startswith((".tmp-", "part-"))

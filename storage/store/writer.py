@@ -12,7 +12,7 @@ import pyarrow as pa
 
 from kinedex.catalog.features import FeatureSet
 from kinedex.ops.errors import NewStoreError, StoreError
-from kinedex.storage.disk import TEMPORARY, write_errors
+from kinedex.storage.disk import TEMPORARY, names_in, write_errors
 from kinedex.storage.lock import NO_WAIT, Lock, Wait
 from kinedex.storage.snapshot.manifest import Manifest, changed_content, kinedex_version, now, running_command
 from kinedex.storage.snapshot.manifest_files import (
@@ -24,7 +24,7 @@ from kinedex.storage.snapshot.manifest_files import (
     versions,
 )
 from kinedex.storage.snapshot.parts import write_part
-from kinedex.storage.snapshot.schemas import FORMAT_VERSION, PART_FOLDERS, with_columns
+from kinedex.storage.snapshot.schemas import DATABASE, FORMAT_VERSION, PART_FOLDERS, with_columns
 from kinedex.storage.store.record_changes import RecordChanges
 from kinedex.storage.store.result_changes import ResultChanges
 from kinedex.storage.store.take_changes import TakeChanges
@@ -32,9 +32,6 @@ from kinedex.storage.store.version_changes import Facts
 
 FOLDERS = (FOLDER, "frames", "takes", "labels", "index", "results")
 """The folders of a store."""
-
-DATABASE = "kinedex.duckdb"
-"""The file in a store that has all views for other DuckDB clients (`storage.store.database_file`)."""
 
 DUCKDB_SIGNS = "?\\"
 """Characters that DuckDB does not read literally in file paths."""
@@ -101,7 +98,7 @@ def remove_leftovers(root: Path, newest: Manifest, since: float = 0.0) -> None:
     """
     candidates = set()
     for folder in (FOLDER, *PART_FOLDERS):
-        for name in os.listdir(root / folder) if (root / folder).is_dir() else ():
+        for name in names_in(root / folder):
             if name.startswith(TEMPORARY):
                 _remove(root / folder / name)
             elif name.startswith("part-") and (root / folder / name).stat().st_mtime > since - _CLOCK_SECONDS:

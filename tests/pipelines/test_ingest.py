@@ -16,7 +16,7 @@ from kinedex.ops.body import features, kinematics
 from kinedex.ops.errors import ConfigError, KinedexError
 from kinedex.pipelines.ingestion import read_rounds
 from kinedex.pipelines.stages.ingest import Ingest
-from kinedex.storage.formats.motion.acclaim import read_amc
+from kinedex.storage.formats.motion.acclaim import AmcFile
 from kinedex.storage.formats.motion.asf import read_asf
 from kinedex.storage.index.builder import build_index
 from kinedex.storage.index.generations import Generation, current_generation, read_generation
@@ -47,7 +47,7 @@ def test_every_fourth_source_frame_becomes_a_frame_with_the_word_of_the_source_r
     assert store.takes()["name"].to_list() == ["x_1", "x_2", "x_3"]
     assert store.takes()["frames"].to_list() == [13, 9, 31]
     skeleton = read_asf(source / "x.asf")
-    nodes, matrices = kinematics.forward(skeleton.nodes, read_amc(source / "b/x_3.amc", skeleton).channels)
+    nodes, matrices = kinematics.forward(skeleton.nodes, AmcFile(source / "b/x_3.amc", skeleton).channels())
     joints = store.feature_set.joints
     mapping = load_skeleton("acclaim", joints)
     positions = mapping.apply("", skeleton.bones, nodes, joints)

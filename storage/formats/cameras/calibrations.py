@@ -44,15 +44,6 @@ def other_file(path: Path) -> Path | None:
     return None
 
 
-def is_easymocap(content: Mapping[str, Any]) -> bool:
-    """Return whether the keys of a file are those of EasyMocap."""
-    beginnings = tuple(one for key, those in PREFIXES.items() if key != "dist" for one in those)
-    return any(
-        isinstance(key, str) and key.startswith(beginnings) and numbers_of(value) is not None
-        for key, value in content.items()
-    )
-
-
 def easymocap_calibration(files: Sequence[Located], size: tuple[int, int] | None) -> Calibration:
     """Return the cameras of files of EasyMocap.
 
@@ -182,9 +173,18 @@ def read_calibration(path: str | Path, size: tuple[int, int] | None = None) -> C
     if path.suffix.lower() == ".toml":
         return _toml(located, size)
     content = located.mapping()
-    if is_easymocap(content):
+    beginnings = tuple(one for key, those in PREFIXES.items() if key != "dist" for one in those)
+    if any(
+        isinstance(key, str) and key.startswith(beginnings) and numbers_of(value) is not None
+        for key, value in content.items()
+    ):
         return easymocap_calibration(
-            sorted([located, *map(_load, calibration_files(path)[1:])], key=_without_lenses), size
+            # the file with the camera matrices first, then that of the cameras' poses
+            sorted(
+                [located, *map(_load, calibration_files(path)[1:])],
+                key=lambda file: not any(str(key).startswith("K_") for key in file.mapping()),
+            ),
+            size,
         )
     cameras = content.get("cameras")
     if isinstance(cameras, list) and all(isinstance(one, Mapping) for one in cameras):
@@ -220,11 +220,6 @@ def _load(path: Path) -> Located:
     return _load_toml(path) if ending == ".toml" else _load_opencv_yaml(path)
 
 
-def _without_lenses(file: Located) -> bool:
-    """Return True if an EasyMocap file has no camera matrix, so that it holds the cameras' poses."""
-    return not any(str(key).startswith("K_") for key in file.mapping())
-
-
 def in_metres(calibration: Calibration, unit: str | None, up: str | None) -> tuple[Camera, ...]:
     """Return the cameras of a calibration in a world in metres with Y up.
 
@@ -255,11 +250,6 @@ def in_metres(calibration: Calibration, unit: str | None, up: str | None) -> tup
     turn = np.array(_TURNS[up or calibration.up], np.float64)
     scale = UNITS_M[unit or calibration.unit]
     return tuple(camera.in_world(turn, scale) for camera in calibration.cameras)
-
-
-def up_turn(up: str) -> F64:
-    """Return the rotation (3, 3) that takes a world with this axis up to Y up."""
-    return np.array(_TURNS[up], np.float64)
 
 
 def _mappings(content: Mapping[Any, Any]) -> dict[str, Mapping[str, Any]]:

@@ -94,7 +94,9 @@ def find_files(folder: Path, pattern: str, endings: tuple[str, ...] = (), exclud
             folder, f"no file matches '{pattern}'{below}; {{camera}} stands for a part of a name, * for letters"
         )
     order = sorted(files, key=natural_key)
-    return CameraFiles(pattern, {key: tuple(sorted(files[key], key=_path_key)) for key in order})
+    return CameraFiles(
+        pattern, {key: tuple(sorted(files[key], key=lambda path: natural_key(str(path)))) for key in order}
+    )
 
 
 def match_cameras(
@@ -147,10 +149,6 @@ def match_cameras(
 
 def _some(names: list[str]) -> str:
     return ", ".join(names[:6]) + (f" and {len(names) - 6} more" if len(names) > 6 else "")
-
-
-def _path_key(path: Path) -> tuple[tuple[int, str], ...]:
-    return natural_key(str(path))
 
 
 def _step(place: Path, camera: str | None, part: str) -> Iterable[tuple[Path, str | None]]:

@@ -169,7 +169,7 @@ def keypoint_arrays(
     for v, (one, points, offset) in enumerate(zip(seen, by_camera, offsets, strict=True)):
         if one is None or points is None:
             continue
-        own = _own_columns(one, keypoint_set)
+        own = one.names or keypoint_set.order
         places = [own.index(name) for name in names if name in own]
         into = [p for p, name in enumerate(names) if name in own]
         for frame, person_rows in points.items():
@@ -232,10 +232,6 @@ def _columns(seen: Sequence[SeenPersons], choice: KeypointSet | None) -> tuple[K
     step = max(1, len(persons) // _SAMPLE)
     chosen = likeliest_set(sets, np.array(persons[::step]))
     return chosen, chosen.order
-
-
-def _own_columns(one: SeenPersons, keypoint_set: KeypointSet) -> tuple[str, ...]:
-    return one.names or keypoint_set.order
 
 
 def _padded(rows: F64, count: int) -> F64:

@@ -74,7 +74,10 @@ def read_keypoint_table(path: Path, recording: str = "") -> dict[str, SeenPerson
         if not table.height:
             near = did_you_mean(recording, [str(name) for name in known if name is not None])
             raise SourceError(path, f"has no rows of the recording '{recording}'{near}")
-    _refuse_missing(path, table)
+    for key in ("frame", "keypoint", "camera"):
+        if key in table.columns and table[key].null_count():
+            row = int(table[key].is_null().arg_true()[0])
+            raise _error(path, table, row, f"`{key}` must not be empty")
     names, places = _keypoints(path, table)
     rows = np.stack([table[key].to_numpy() for key in ("x", "y", "confidence")], axis=1)
     far = np.flatnonzero((np.abs(rows) > FARTHEST_PX).any(axis=1))
@@ -135,13 +138,6 @@ def _keypoints(path: Path, table: pl.DataFrame) -> tuple[tuple[str, ...], I64]:
         raise SourceError(path, f"has {len(names)} keypoints, and {MOST_KEYPOINTS} are read at most")
     order = {name: i for i, name in enumerate(names.to_list())}
     return tuple(order), texts.replace_strict(order, return_dtype=pl.Int64).to_numpy()
-
-
-def _refuse_missing(path: Path, table: pl.DataFrame) -> None:
-    for key in ("frame", "keypoint", "camera"):
-        if key in table.columns and table[key].null_count():
-            row = int(table[key].is_null().arg_true()[0])
-            raise _error(path, table, row, f"`{key}` must not be empty")
 
 
 def _error(path: Path, table: pl.DataFrame, row: int, message: str) -> SourceError:

@@ -177,7 +177,9 @@ def read_mmpose(files: Sequence[Path]) -> SeenPersons:
         if any(isinstance(entry, Mapping) and INSTANCES in entry for entry in entries):
             if len(files) > 1:
                 raise SourceError(
-                    path, f"has the frames of a video, and must be the one file of a camera; {_others(files)}"
+                    path,
+                    f"has the frames of a video, and must be the one file of a camera; there are {len(files)}, "
+                    f"from {files[0].name} to {files[-1].name}",
                 )
             _add_frames(seen, path, entries)
         elif len(files) > 1 or entries:
@@ -189,10 +191,6 @@ def read_mmpose(files: Sequence[Path]) -> SeenPersons:
             files[0], f"has persons or names of {' and '.join(map(str, found))} keypoints; expected one number"
         )
     return seen
-
-
-def _others(files: Sequence[Path]) -> str:
-    return f"there are {len(files)}, from {files[0].name} to {files[-1].name}"
 
 
 def _add_frames(seen: SeenPersons, path: Path, entries: list[Any]) -> None:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -111,9 +111,8 @@ def chosen_persons(seen: SeenPersons, choice: str) -> dict[int, F64]:
     SourceError
         The choice is an id that no person has.
     """
-    rules: dict[str, Callable[[Person], float]] = {LARGEST: _box, MOST_CONFIDENT: _confidence}
-    if choice in rules:
-        rule = rules[choice]
+    if choice in (LARGEST, MOST_CONFIDENT):
+        rule = _box_size if choice == LARGEST else _confidence
         return {frame: max(persons, key=rule).points for frame, persons in seen.frames.items() if persons}
     found = {
         frame: next((one.points for one in persons if one.called == choice), None)
@@ -134,7 +133,7 @@ def refuse_crowds(path: Path, where: str, persons: Sequence[object]) -> None:
         raise SourceError(path, f"{where}: has {len(persons)} persons, and {MOST_PERSONS} are read at most")
 
 
-def _box(person: Person) -> float:
+def _box_size(person: Person) -> float:
     seen = person.points[np.isfinite(person.points[:, 0]), :2]
     return float(np.prod(np.ptp(seen, axis=0))) if len(seen) else -1.0
 

@@ -101,7 +101,8 @@ def check_keypoints(
     pixels, confidence = keypoints.pixels[frames], keypoints.confidence[frames]
     _refuse_behind(file, name, cameras, pixels, np.where(seen[frames], confidence, 0.0))
     points, count = triangulate(observed_rays(cameras, pixels, confidence))
-    joints = _joint_places(keypoints, points)
+    places = keypoints.keypoint_set.places
+    joints = {places[key].joint: points[:, p].T for p, key in enumerate(keypoints.names) if places[key].joint}
     _refuse_size(file, name, joints, unit)
     notes = _residual_notes(cameras, pixels, np.where(seen[frames], confidence, 0.0), points)
     notes += _limb_notes(keypoints, joints)
@@ -154,12 +155,6 @@ def _refuse_behind(file: RecordingsFile, name: str, cameras: Sequence[Camera], p
             name, "cameras", f"the rays of most keypoints meet behind camera {', '.join(behind)}: rotation and "
             "translation must take the world to the camera, x = R X + t; is it the inverse, the camera in the world?",
         )  # fmt: skip
-
-
-def _joint_places(keypoints: KeypointArrays, points: F64) -> dict[str, F64]:
-    """Return the positions (3, T) of the named joints among the keypoints."""
-    places = keypoints.keypoint_set.places
-    return {places[name].joint: points[:, p].T for p, name in enumerate(keypoints.names) if places[name].joint}
 
 
 def _refuse_size(file: RecordingsFile, name: str, joints: dict[str, F64], used: str) -> None:

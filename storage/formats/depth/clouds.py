@@ -13,7 +13,7 @@ import numpy.typing as npt
 from kinedex.catalog.depth_cameras import FARTHEST_M, MOST_PIXELS, DepthCamera
 from kinedex.ops.errors import SourceError
 from kinedex.storage.formats.depth.png import size_fault
-from kinedex.storage.formats.source_files import part_of
+from kinedex.storage.formats.source_files import as_number, part_of
 
 F32 = npt.NDArray[np.float32]
 F64 = npt.NDArray[np.float64]
@@ -232,7 +232,7 @@ def number_rows(path: Path, data: bytes, rows: int, columns: int, line: int, las
             pass
     for number, row in enumerate(data.split(b"\n", rows)[:rows], line):
         cells = row.split(maxsplit=columns)
-        if not all(map(_is_number, cells)):
+        if any(as_number(cell) is None or b"_" in cell for cell in cells):
             raise SourceError(path, f"expected {columns} numbers, got {row[:60].decode('latin-1')!r}", line=number)
         if cells and len(cells) != columns:
             raise SourceError(path, f"expected {columns} numbers, got {len(cells)}", line=number)
@@ -282,11 +282,3 @@ def cloud_bytes(path: Path) -> bytes:
     if len(data) > MOST_BYTES:
         raise SourceError(path, f"has more than {MOST_BYTES >> 20} MB; write a file for each frame")
     return data
-
-
-def _is_number(word: bytes) -> bool:
-    try:
-        float(word)
-    except ValueError:
-        return False
-    return b"_" not in word

@@ -7,7 +7,7 @@ import zipfile
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import IO, Any
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -15,7 +15,7 @@ import numpy.typing as npt
 from kinedex.catalog.depth_cameras import FASTEST_HZ, MOST_PIXELS, DepthCamera
 from kinedex.ops.errors import ParameterError, SourceError
 from kinedex.storage.formats.depth.png import size_fault
-from kinedex.storage.formats.motion.numpy_arrays import load_arrays
+from kinedex.storage.formats.motion.numpy_arrays import load_arrays, npy_header
 
 F32 = npt.NDArray[np.float32]
 F64 = npt.NDArray[np.float64]
@@ -169,7 +169,7 @@ def _layout(path: Path) -> tuple[tuple[int, int, int], str, int]:
                 listed = ", ".join(name.removesuffix(".npy") for name in list(names)[:12]) or "none"
                 raise SourceError(path, f"has no array '{_ARRAY}' of shape (frames, height, width); it has {listed}")
             with packed.open(names[f"{_ARRAY}.npy"]) as entry:
-                shape, fortran, dtype = _npy_header(entry)
+                shape, fortran, dtype = npy_header(entry)
                 start, size = entry.tell(), names[f"{_ARRAY}.npy"].file_size
     except SourceError:
         raise
@@ -190,12 +190,6 @@ def _layout(path: Path) -> tuple[tuple[int, int, int], str, int]:
             f"{size - start:,} bytes; is it cut off?",
         )  # fmt: skip
     return (shape[0], shape[1], shape[2]), dtype.str, start
-
-
-def _npy_header(entry: IO[bytes]) -> tuple[tuple[int, ...], bool, np.dtype[Any]]:
-    version = np.lib.format.read_magic(entry)
-    read = np.lib.format.read_array_header_1_0 if version == (1, 0) else np.lib.format.read_array_header_2_0
-    return read(entry)
 
 
 def _finite(path: Path, name: str, values: npt.NDArray[Any]) -> F64:

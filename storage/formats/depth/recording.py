@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
+from typing import TypeVar
 
 import numpy as np
 import numpy.typing as npt
@@ -18,7 +19,6 @@ from kinedex.catalog.depth_recordings import (
     DepthEntry,
     DepthRecordingsFile,
     WorldPose,
-    load_depth_recordings,
 )
 from kinedex.ops.depth.background import percentile_depths
 from kinedex.ops.errors import ConfigError, KinedexError, SourceError
@@ -41,6 +41,7 @@ from kinedex.storage.formats.depth.recording_checks import (
 
 F32 = npt.NDArray[np.float32]
 F64 = npt.NDArray[np.float64]
+Read = TypeVar("Read")
 
 SAMPLE = 10
 """The number of frames, spread over a recording, on which it is checked."""
@@ -94,30 +95,6 @@ class DepthRecording:
     truth_pose: WorldPose | None = None
     markers: Mapping[str, str] = field(default_factory=dict)
     notes: tuple[str, ...] = ()
-
-
-def read_recordings(path: str | Path) -> list[DepthRecording]:
-    """Read the depth recordings of a file.
-
-    Parameters
-    ----------
-    path : str or Path
-        The file, a YAML with `recordings:`.
-
-    Returns
-    -------
-    list of DepthRecording
-        The recordings, in the order of the file; only a few images are read, to check them.
-
-    Raises
-    ------
-    ConfigError
-        The file, or a key of a recording or camera, is invalid; the message names file, line and key.
-    SourceError
-        A file of frames is invalid.
-    """
-    file = load_depth_recordings(path)
-    return [read_recording(file, name) for name in file.recordings]
 
 
 def read_recording(file: DepthRecordingsFile, name: str) -> DepthRecording:
@@ -370,12 +347,16 @@ class _Entry:
 
 def _first_size(files: FrameFiles) -> tuple[int, int] | None:
     """Return the size of the first image that can be read, for cameras without a stated size."""
-    if files.kind != "images" or files.files[0].suffix.lower() != ".png":
-        return None
+    is_image = files.kind == "images" and files.files[0].suffix.lower() == ".png"
+    return _first_read(files, image_size) if is_image else None
+
+
+def _first_read(files: FrameFiles, read: Callable[[Path], Read]) -> Read:
+    """Return what is read from the first file that can be read; if none can, raise the error of the first file."""
     fault: KinedexError | None = None
     for path in files.files[:_MOST_TRIES]:
         try:
-            return image_size(path)
+            return read(path)
         except SourceError as found:
             fault = fault or found
     raise fault or SourceError(files.files[0], "cannot be read")
@@ -383,10 +364,4 @@ def _first_size(files: FrameFiles) -> tuple[int, int] | None:
 
 def _first_cloud(files: FrameFiles) -> Cloud | None:
     """Return the first cloud that can be read; None if the frames are not clouds."""
-    fault: KinedexError | None = None
-    for path in files.files[:_MOST_TRIES]:
-        try:
-            return read_cloud(path)
-        except SourceError as found:
-            fault = fault or found
-    raise fault or SourceError(files.files[0], "cannot be read")
+    return _first_read(files, read_cloud)

@@ -140,7 +140,7 @@ def other_unit(images: Mapping[int, F32], background: F32) -> float | None:
     ratios = [
         np.median(image[both] / background[both])
         for image in images.values()
-        if (both := _both(image, background)).any()
+        if (both := (image > 0) & (background > 0)).any()
     ]
     factor = float(np.median(ratios)) if ratios else 1.0
     return factor if factor > OTHER_UNIT or factor < 1 / OTHER_UNIT else None
@@ -149,11 +149,6 @@ def other_unit(images: Mapping[int, F32], background: F32) -> float | None:
 def likely_unit(unit_m: float) -> float:
     """Return the usual unit that is nearest to one."""
     return min(UNITS_M, key=lambda one: abs(float(np.log(one / unit_m))))
-
-
-def _both(image: F32, background: F32) -> npt.NDArray[np.bool_]:
-    found: npt.NDArray[np.bool_] = (image > 0) & (background > 0)
-    return found
 
 
 def shows_room(images: Mapping[int, F32]) -> bool:

@@ -16,6 +16,7 @@ from kinedex.ops.errors import SourceError
 from kinedex.storage.formats.imu.number_rows import separator_of, text_lines
 from kinedex.storage.formats.imu.signals import ENU, Given, RawSensor
 from kinedex.storage.formats.imu.xsens_columns import CHANNELS, PACKETS, named_columns, unwrapped
+from kinedex.storage.formats.source_files import as_number
 
 _CLOCK, _COUNTER = "SampleTimeFine", "PacketCounter"
 _WRAP = 1 << 32
@@ -53,7 +54,7 @@ def read(path: Path, given: Given) -> list[RawSensor]:
         setattr(sensor, channel, table.channel(names))
     sensor.orientation = table.orientation()
     rate = re.match(r"[0-9.]+", settings.get("outputrate", ""))
-    sensor.rate_hz = float(rate[0]) if rate and rate[0].count(".") < 2 and rate[0] != "." else None
+    sensor.rate_hz = None if rate is None else as_number(rate[0])
     clock = table.column(_CLOCK) if _CLOCK in table.places else np.array([np.nan])
     if np.isfinite(clock).all():
         ticks = unwrapped(path, clock, table.rows.lines, _WRAP, _CLOCK)

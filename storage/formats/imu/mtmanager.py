@@ -14,6 +14,7 @@ from kinedex.ops.errors import SourceError
 from kinedex.storage.formats.imu.number_rows import separator_of, text_lines
 from kinedex.storage.formats.imu.signals import ENU, NED, NWU, Given, RawSensor
 from kinedex.storage.formats.imu.xsens_columns import CHANNELS, COUNTERS, PACKETS, named_columns, unwrapped
+from kinedex.storage.formats.source_files import as_number
 
 _RATE = re.compile(r"//\s*(?:Update Rate|Sample rate)\s*:\s*([0-9.]+)\s*Hz", re.IGNORECASE)
 _DEVICE = re.compile(r"//\s*DeviceId\s*:\s*(\w+)")
@@ -52,7 +53,9 @@ def read(path: Path, given: Given) -> list[RawSensor]:
     device, rate, world = _DEVICE.search(head), _RATE.search(head), _WORLD.search(head)
     numbered = _NUMBERED.fullmatch(path.stem)
     sensor = RawSensor(device[1] if device else numbered[1] if numbered else path.stem, lines=table.rows.lines)
-    sensor.rate_hz = _rate(path, rate[1]) if rate else None
+    sensor.rate_hz = None if rate is None else as_number(rate[1])
+    if rate and sensor.rate_hz is None:
+        raise SourceError(path, f"Update Rate must be samples per second, got {rate[1][:40]!r}")
     sensor.units = {"acc": "m/s2", "gyr": "rad/s", "mag": "1"}
     sensor.frame = _WORLDS.get(world[1].upper(), "") if world else NWU
     for channel, names in CHANNELS.items():
@@ -63,10 +66,3 @@ def read(path: Path, given: Given) -> list[RawSensor]:
         sensor.steps = unwrapped(path, table.column(counter), table.rows.lines, PACKETS, counter)
         sensor.wrap = PACKETS
     return [sensor]
-
-
-def _rate(path: Path, text: str) -> float:
-    try:
-        return float(text)
-    except ValueError:
-        raise SourceError(path, f"Update Rate must be samples per second, got {text[:40]!r}") from None

@@ -17,6 +17,7 @@ from kinedex.ops.errors import SourceError
 from kinedex.storage.formats.imu.number_rows import cells_of, number_rows, text_lines
 from kinedex.storage.formats.imu.signals import NWU, UNITS, Given, RawSensor, unit_name
 from kinedex.storage.formats.imu.tables import MOST_SENSORS
+from kinedex.storage.formats.source_files import as_number
 
 _RATE = re.compile(r"Sample Rate:?[,;\t ]+([0-9.]+)", re.IGNORECASE)
 _QUANTITIES = {
@@ -75,7 +76,9 @@ def _named(path: Path, lines: Sequence[str]) -> list[RawSensor]:
                 units[channel] = stated
     tick = unit_name(below[0], "time") if below else None
     body = first + 1 if tick is None else first + 2
-    return _sensors(path, lines, header, body, columns, UNITS["time"][tick or "s"], _UNITS | units, _number(rate))
+    return _sensors(
+        path, lines, header, body, columns, UNITS["time"][tick or "s"], _UNITS | units, rate and as_number(rate[1])
+    )
 
 
 def _numbered(path: Path, lines: Sequence[str]) -> list[RawSensor]:
@@ -127,10 +130,3 @@ def _sensors(
             setattr(sensor, channel, None if np.isnan(values).all() else values)
         found.append(sensor)
     return found
-
-
-def _number(found: re.Match[str] | None) -> float | None:
-    try:
-        return None if found is None else float(found[1])
-    except ValueError:
-        return None

@@ -22,6 +22,7 @@ from kinedex.ops.errors import SourceError, did_you_mean
 from kinedex.storage.formats.csv_tables import decoded
 from kinedex.storage.formats.imu.number_rows import cells_of, number_rows, separator_of, text_lines
 from kinedex.storage.formats.imu.signals import UNITS, Given, RawSensor, unit_name
+from kinedex.storage.formats.source_files import as_number
 
 F64 = npt.NDArray[np.float64]
 I64 = npt.NDArray[np.int64]
@@ -270,15 +271,9 @@ def _header_rows(path: Path, lines: Sequence[str], given: Given) -> tuple[list[l
 def _numeric(cells: Sequence[str], separator: str) -> bool:
     """Return True for a row in which at least half of the cells are numbers."""
     filled = [cell for cell in cells if cell]
-    return 2 * sum(_is_number(cell, separator) for cell in filled) >= max(1, len(filled))
-
-
-def _is_number(cell: str, separator: str) -> bool:
-    try:
-        float(cell if separator == "," else cell.replace(",", "."))
-    except ValueError:
-        return False
-    return True
+    return 2 * sum(
+        as_number(cell if separator == "," else cell.replace(",", ".")) is not None for cell in filled
+    ) >= max(1, len(filled))
 
 
 def _joined(rows: Sequence[Sequence[str]]) -> tuple[list[str], list[str]]:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 import re
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import lru_cache
 from pathlib import Path
 from typing import ClassVar
@@ -26,46 +26,9 @@ from kinedex.storage.formats.motion.mapped_body import (
 )
 from kinedex.storage.formats.motion.reader import Body, Extent, MotionFile, Reader, ReadSettings
 from kinedex.storage.formats.motion.text_blocks import Block, RowFile, RowMemory, before_last_frame, blocks, changed
-from kinedex.storage.formats.source_files import file_size
+from kinedex.storage.formats.source_files import file_size, stamp_of
 
 _LINE_END = re.compile(rb"\r\n?|\n")
-
-
-@dataclass(frozen=True)
-class Motion:
-    """The motion of an AMC file.
-
-    Attributes
-    ----------
-    channels : float64 array (T, C)
-        Radians and metres, in the column order of the skeleton.
-    warnings : tuple of str
-        Warnings about the file.
-    """
-
-    channels: npt.NDArray[np.float64]
-    warnings: tuple[str, ...] = ()
-
-
-def read_amc(path: str | Path, skeleton: Skeleton, data: bytes | None = None) -> Motion:
-    """Read an AMC motion that belongs to a skeleton.
-
-    Parameters
-    ----------
-    path : str or Path
-        The file.
-    skeleton : Skeleton
-        Its skeleton.
-    data : bytes, optional
-        The file's bytes, if they have been read already.
-
-    Raises
-    ------
-    SourceError
-        The file is damaged; the error names the line of the first fault. No frame of such a file is used.
-    """
-    file = AmcFile(path, skeleton, data)
-    return Motion(file.channels(), file.warnings)
 
 
 class AmcFile(RowFile):
@@ -262,12 +225,7 @@ def _skeleton_of(file: MotionFile, unit_m: float = INCH_M) -> Skeleton:
     asf = file.skeleton
     if asf is None:
         raise SourceError(file.path, "an AMC file is read with its ASF skeleton; none is given")
-    try:
-        stat = asf.stat()
-        stamp = (stat.st_size, stat.st_mtime_ns)
-    except OSError:
-        stamp = (0, 0)
-    return _skeleton(str(asf), stamp, unit_m)
+    return _skeleton(str(asf), stamp_of(asf), unit_m)
 
 
 @lru_cache(maxsize=64)

@@ -24,6 +24,7 @@ from kinedex.storage.formats.motion.body_models import (
     BODY,
     FACE,
     HANDS,
+    JOINTS_BY_COUNT,
     LARGEST,
     BodyModel,
     load_body_model,
@@ -42,7 +43,7 @@ from kinedex.storage.formats.motion.reader import (
     ReadSettings,
     body_bytes,
 )
-from kinedex.storage.formats.source_files import file_size
+from kinedex.storage.formats.source_files import file_size, first_bytes
 
 F64 = npt.NDArray[np.float64]
 
@@ -82,7 +83,6 @@ AIST_HZ = 60.0
 """The rate of the AIST Dance Video Database, which the files of AIST++ do not state."""
 
 _AT_ONCE = 4096  # frames at once; axisangle.forward uses the same number
-_POSED = {22: BODY, 24: (*BODY, "left_hand", "right_hand"), 52: (*BODY, *HANDS), 55: (*BODY, *FACE, *HANDS)}
 
 
 @dataclass(frozen=True)
@@ -128,7 +128,9 @@ class AmassReader(Reader):
     def sniff(self, path: Path) -> bool:
         """Return whether a file holds joint angles and no positions; a pickle is judged by its first keys."""
         if path.suffix.lower() == ".pkl":
-            return _is_pickle_of_angles(path)
+            # the first keys are those of angles, not of a body model
+            head = first_bytes(path, _HEAD)
+            return any(key.encode() in head for key in _SURE) and not any(word in head for word in _NO_TAKE)
         names = set(array_names(path))
         return bool(names & {"poses", *_SURE}) and not names & set(ARRAYS)
 
@@ -220,16 +222,6 @@ def fitted_poses(file: MotionFile, mappings: Mappings, joints: tuple[str, ...], 
     return FittedPoses(poses, model, rest, *_upright(poses, model, rest, fit, joints))
 
 
-def _is_pickle_of_angles(path: Path) -> bool:
-    """Return whether the first keys of a pickle are those of angles, not of a body model."""
-    try:
-        with path.open("rb") as file:
-            head = file.read(_HEAD)
-    except OSError:
-        return False
-    return any(key.encode() in head for key in _SURE) and not any(word in head for word in _NO_TAKE)
-
-
 def _upright(
     poses: Poses, model: BodyModel, rest: F64, fit: Fit, joints: tuple[str, ...]
 ) -> tuple[Fit, tuple[str, ...]]:
@@ -282,7 +274,9 @@ def parse_amass(path: Path) -> Poses:
         An array is missing, has another shape, or holds anything but numbers.
     """
     if path.suffix.lower() == ".pkl":
-        arrays = _of_pickle(load_pickle(path))
+        found = load_pickle(path)
+        inner = next((found[key] for key in _NESTED if isinstance(found.get(key), dict)), found)
+        arrays = {key: value for key, value in inner.items() if not isinstance(value, dict) and key in _READ}
         names = list(arrays)
     else:
         arrays, names = load_arrays(path, _READ)
@@ -308,12 +302,6 @@ def parse_amass(path: Path) -> Poses:
     from_amass = any(key in arrays for key in RATES[:2]) or (path.suffix.lower() == ".npz" and "gender" in arrays)
     known_hz = AIST_HZ if from_aist else None
     return Poses(posed, turns, places, shape, _gender(path, arrays), rate_hz, "z" if from_amass else None, known_hz)
-
-
-def _of_pickle(found: dict[str, Any]) -> dict[str, Any]:
-    """Return the arrays of a pickle, or of the dict in it that holds the angles."""
-    inner = next((found[key] for key in _NESTED if isinstance(found.get(key), dict)), found)
-    return {key: value for key, value in inner.items() if not isinstance(value, dict) and key in _READ}
 
 
 def _usual(path: Path, arrays: dict[str, Any]) -> dict[str, Any]:
@@ -357,10 +345,10 @@ def _turns(path: Path, arrays: dict[str, Any]) -> tuple[tuple[str, ...], F64]:
     """Return the joints that have rotations, and their rotation vectors (T, J, 3)."""
     if "poses" in arrays:
         poses = _angles(path, arrays, "poses")
-        if poses.shape[1] not in _POSED:
-            counts = ", ".join(str(3 * count) for count in _POSED)
+        if poses.shape[1] not in JOINTS_BY_COUNT:
+            counts = ", ".join(str(3 * count) for count in JOINTS_BY_COUNT)
             raise SourceError(path, f"`poses` must have {counts} angles a frame, got {3 * poses.shape[1]}")
-        return _POSED[poses.shape[1]], poses
+        return JOINTS_BY_COUNT[poses.shape[1]], poses
     names: list[str] = []
     parts: list[F64] = []
     for key, joints in zip(PARTS, (BODY[:1], BODY[1:], HANDS, FACE[:1], FACE[1:]), strict=True):
@@ -369,8 +357,8 @@ def _turns(path: Path, arrays: dict[str, Any]) -> tuple[tuple[str, ...], F64]:
                 raise SourceError(path, f"has no `{key}`, nor `poses`")
             continue
         part = _angles(path, arrays, key)
-        if key == "pose_body" and part.shape[1] == len(_POSED[24]) - 1:
-            joints = _POSED[24][1:]
+        if key == "pose_body" and part.shape[1] == len(JOINTS_BY_COUNT[24]) - 1:
+            joints = JOINTS_BY_COUNT[24][1:]
         if part.shape[1] != len(joints) or (parts and len(part) != len(parts[0])):
             raise SourceError(
                 path,

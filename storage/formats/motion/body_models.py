@@ -14,6 +14,7 @@ import numpy.typing as npt
 from kinedex.catalog.configs import load_yaml
 from kinedex.ops.errors import SourceError, did_you_mean
 from kinedex.storage.formats.motion.numpy_arrays import load_arrays
+from kinedex.storage.formats.source_files import stamp_of
 
 F64 = npt.NDArray[np.float64]
 
@@ -42,7 +43,8 @@ _PARENTS = dict(
         BODY[1:], [BODY[i] for i in (0, 0, 0, 1, 2, 3, 4, 5, 6, 7, 8, 9, 9, 9, 12, 13, 14, 16, 17, 18, 19)], strict=True
     )
 )
-_NAMED = {22: BODY, 24: (*BODY, "left_hand", "right_hand"), 52: (*BODY, *HANDS), 55: (*BODY, *FACE, *HANDS)}
+JOINTS_BY_COUNT = {22: BODY, 24: (*BODY, "left_hand", "right_hand"), 52: (*BODY, *HANDS), 55: (*BODY, *FACE, *HANDS)}
+"""A dict from number of joints to the joints of the bodies of SMPL, SMPL-H and SMPL-X with as many, in their order."""
 _MODEL = ("v_template", "J_regressor", "shapedirs")
 _TABLE = ("joints", "names", "shapes")
 LARGEST = 1e9
@@ -88,7 +90,7 @@ def model_digest(given: str | None) -> str:
     """Return paths, sizes and times of a body model's files, for the checksum of takes that are read with it."""
     if given is None:
         return ""
-    stamps = {str(path): _stamp(path) for path in (model_path(given, gender) for gender in GENDERS)}
+    stamps = {str(path): stamp_of(path) for path in (model_path(given, gender) for gender in GENDERS)}
     return " ".join(f"{path}:{size}:{time}" for path, (size, time) in stamps.items())
 
 
@@ -112,15 +114,7 @@ def load_body_model(given: str, gender: str) -> BodyModel:
         There is no such file, or it is damaged.
     """
     path = model_path(given, gender)
-    return _load(str(path), _stamp(path))
-
-
-def _stamp(path: Path) -> tuple[int, int]:
-    try:
-        stat = path.stat()
-    except OSError:
-        return 0, 0
-    return stat.st_size, stat.st_mtime_ns
+    return _load(str(path), stamp_of(path))
 
 
 @lru_cache(maxsize=4)
@@ -207,10 +201,10 @@ def _numbers(path: Path, arrays: dict[str, Any], key: str, axes: int) -> F64:
 def _model(path: Path, names: tuple[str, ...], joints: F64, shapes: F64) -> BodyModel:
     """Return the model with SMPL's joints by name, in SMPL's order; other joints are ignored."""
     if not names:
-        if len(joints) not in _NAMED:
-            counts = ", ".join(map(str, _NAMED))
+        if len(joints) not in JOINTS_BY_COUNT:
+            counts = ", ".join(map(str, JOINTS_BY_COUNT))
             raise SourceError(path, f"has {len(joints)} joints without `names`; of {counts} they would be known")
-        names = _NAMED[len(joints)]
+        names = JOINTS_BY_COUNT[len(joints)]
     if len(names) != len(joints) or joints.shape[1:] != (3,) or shapes.shape[:2] != joints.shape:
         raise SourceError(
             path, f"{len(names)} names, joints of shape {joints.shape} and shapes of {shapes.shape} do not go together"

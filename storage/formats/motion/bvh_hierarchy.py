@@ -13,6 +13,7 @@ import numpy.typing as npt
 
 from kinedex.ops.body import kinematics as k
 from kinedex.ops.errors import SourceError, did_you_mean
+from kinedex.storage.formats.source_files import any_text
 
 LINE_END = re.compile(rb"\r\n?|\n")
 """The end of a line, as Windows, Unix or an old Macintosh writes it."""
@@ -46,7 +47,7 @@ class BvhText:
         while found := _TOKEN.search(self.data, self.pos):
             self.at, self.pos = found.span()
             if not found[0].startswith((b"#", b"//")):
-                return decoded(found[0])
+                return any_text(found[0])
             self.pos = self._match(_TOLINE_END).end()
         self.at = self.pos = len(self.data)
         return None
@@ -55,7 +56,7 @@ class BvhText:
         """Return the text up to the next brace or the end of the line."""
         found = self._match(_NAME)
         self.pos = found.end()
-        return decoded(found[0]).strip()
+        return any_text(found[0]).strip()
 
     def _match(self, pattern: re.Pattern[bytes]) -> re.Match[bytes]:
         found = pattern.match(self.data, self.pos)
@@ -69,14 +70,6 @@ class BvhText:
         if not np.isfinite(value):
             raise self.error(f"{what} must be a number, got {shown(word)}")
         return value
-
-
-def decoded(text: bytes) -> str:
-    """Decode a name: UTF-8 in some files, any code page in others."""
-    try:
-        return text.decode("utf-8")
-    except UnicodeDecodeError:
-        return text.decode("latin-1")
 
 
 def shown(word: str | None) -> str:

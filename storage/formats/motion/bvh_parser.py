@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from decimal import Decimal
 from functools import lru_cache
 from pathlib import Path
@@ -20,7 +20,6 @@ from kinedex.storage.formats.motion.bvh_hierarchy import (
     LINE_END,
     BvhText,
     Hierarchy,
-    decoded,
     read_hierarchy,
     shown,
 )
@@ -34,6 +33,7 @@ from kinedex.storage.formats.motion.text_blocks import (
     blocks,
     changed,
 )
+from kinedex.storage.formats.source_files import any_text
 
 MILLISECONDS = 1000
 """The factor for frame times above one second, which are taken as milliseconds."""
@@ -305,11 +305,19 @@ class BvhFile(RowFile):
             return changed(self.path)
         at, data = fault.line + block.line - 1, block.data
         if fault.code == t.TOO_FEW:
-            fault = replace(fault, start=fault.start + rows)
-            rest = data[_line_start(data, fault.line) :].rstrip()
-            last = LINE_END.search(rest) is None and all(not more.data.strip() for more in source)
-            return SourceError(self.path, _too_few(fault, self._columns, last), line=at)
-        return SourceError(self.path, _explain(fault, data, self._columns), line=at)
+            ends = LINE_END.finditer(data)
+            start = next((end.end() for number, end in enumerate(ends, 2) if number == fault.line), 0)
+            last = LINE_END.search(data[start:].rstrip()) is None and all(not more.data.strip() for more in source)
+            message = (
+                f"frame {fault.start + rows} has {fault.stop} numbers, the hierarchy has {self._columns} channels"
+                + ": the file is cut off in the middle of a frame" * last
+            )
+            return SourceError(self.path, message, line=at)
+        token = any_text(data[fault.start : min(fault.stop, fault.start + 40)])
+        if fault.code == t.TOO_MANY:
+            message = f"unexpected {token!r}: more numbers than the {self._columns} channels of the hierarchy"
+            return SourceError(self.path, message, line=at)
+        return SourceError(self.path, f"not a number: {token!r}", line=at)
 
 
 def _motion_header(text: BvhText) -> tuple[int, float, list[str]]:
@@ -342,21 +350,4 @@ def _setting(text: BvhText, pattern: re.Pattern[bytes], expected: str) -> str:
     text.pos = found.end()
     value = found[1].rstrip()
     text.settings.append((found.start(1), found.start(1) + len(value)))
-    return decoded(value).strip()
-
-
-def _too_few(fault: t.Fault, columns: int, last: bool) -> str:
-    cut = ": the file is cut off in the middle of a frame" if last else ""
-    return f"frame {fault.start} has {fault.stop} numbers, the hierarchy has {columns} channels{cut}"
-
-
-def _explain(fault: t.Fault, data: bytes, columns: int) -> str:
-    token = decoded(data[fault.start : min(fault.stop, fault.start + 40)])
-    if fault.code == t.TOO_MANY:
-        return f"unexpected {token!r}: more numbers than the {columns} channels of the hierarchy"
-    return f"not a number: {token!r}"
-
-
-def _line_start(data: bytes, line: int) -> int:
-    ends = LINE_END.finditer(data)
-    return next((end.end() for number, end in enumerate(ends, 2) if number == line), 0)
+    return any_text(value).strip()

@@ -15,7 +15,7 @@ from pathlib import Path
 
 from kinedex.ops.errors import SourceError
 from kinedex.storage.formats.motion.reader import MOST_POINTS
-from kinedex.storage.formats.source_files import file_size, part_of
+from kinedex.storage.formats.source_files import any_text, file_size, part_of
 
 BLOCK = 512
 KEY = 0x50
@@ -71,14 +71,7 @@ class Parameter:
         if self.kind != -1 or not width:
             return []
         cut = [self.values[at : at + width] for at in range(0, len(self.values), width)]
-        return [_decoded(text).strip(" \0") for text in cut]
-
-
-def _decoded(text: bytes) -> str:
-    try:
-        return text.decode()
-    except UnicodeDecodeError:
-        return text.decode("latin-1")
+        return [any_text(text).strip(" \0") for text in cut]
 
 
 def real(raw: bytes, processor: int) -> float:
@@ -169,7 +162,8 @@ def read_layout(path: Path) -> Layout:
         raise SourceError(path, f"expected 1 to {MOST_POINTS} markers, it states {points}")
     channels = found.get("ANALOG:USED")
     start = _start(path, found, start_block, begin + 4, size)
-    number = _number_size(_real(found, "POINT:SCALE") or head[12:16], processor)
+    scale = _real(found, "POINT:SCALE") or head[12:16]
+    number = 4 if scale[{INTEL: 3, DEC: 1, MIPS: 0}[processor]] & 0x80 else 2  # a negative scale marks floats
     counts = _frame_counts(found, first, last, processor)
     samples = {analog}
     if channels is not None and channels.words:
@@ -186,7 +180,7 @@ def read_layout(path: Path) -> Layout:
         start=start,
         size=number,
         processor=processor,
-        scale=_real(found, "POINT:SCALE") or head[12:16],
+        scale=scale,
         rates=tuple(rates),
         parameters=of_points,
         warnings=warnings,
@@ -255,11 +249,6 @@ def _start(path: Path, found: dict[str, Parameter], block: int, least: int, size
     raise SourceError(path, f"its frames should begin at block {block}, but it has {size // BLOCK} blocks")
 
 
-def _number_size(scale: bytes, processor: int) -> int:
-    """Return the bytes per number: 4 if the scale is negative, else 2."""
-    return 4 if scale[{INTEL: 3, DEC: 1, MIPS: 0}[processor]] & 0x80 else 2
-
-
 def _long(parameter: Parameter | None) -> int | None:
     """Return a count in two words of 16 bits each, the lower first, as in TRIAL:ACTUAL_START_FIELD; None if absent."""
     if parameter is None or len(parameter.words) < 2:
@@ -313,9 +302,7 @@ def _fit(
 
 def _empty(path: Path, end: int, size: int) -> int:
     """Return the number of frames before a byte that only pad the last block."""
-    with path.open("rb") as file:
-        file.seek(end - BLOCK // size * size)
-        tail = file.read(BLOCK // size * size)
+    tail = part_of(path, BLOCK // size * size, end - BLOCK // size * size)
     return next(
         (i for i in range(BLOCK // size) if any(tail[len(tail) - (i + 1) * size : len(tail) - i * size])), BLOCK // size
     )

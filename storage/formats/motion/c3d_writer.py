@@ -40,7 +40,7 @@ def write_c3d(path: Path, motion: JointMotion) -> None:
     joints, places = seen_markers(motion)
     frames = len(places)
     counted = min(frames, _MOST_COUNTED)
-    blocks = _blocks(_parameters(joints, motion.rate_hz, frames, 1))
+    blocks = -(-(4 + len(_parameters(joints, motion.rate_hz, frames, 1))) // BLOCK)
     parameters = _parameters(joints, motion.rate_hz, frames, 2 + blocks)
     header = struct.pack(
         "<BB5HfHHf", 2, KEY, len(joints), 0, 1, counted, 0, _FLOATS, 2 + blocks, 0, motion.rate_hz
@@ -52,11 +52,6 @@ def write_c3d(path: Path, motion: JointMotion) -> None:
             file.write(_numbers(places[start : start + _AT_ONCE]).tobytes())
         if frames <= _MOST_COUNTED:  # some programs read frames up to the end of the file in longer takes
             file.write(b"\0" * (-file.tell() % BLOCK))
-
-
-def _blocks(parameters: bytes) -> int:
-    """Return the number of blocks that parameters and the four bytes before them fill."""
-    return -(-(4 + len(parameters)) // BLOCK)
 
 
 def _numbers(places: npt.NDArray[np.float32]) -> npt.NDArray[np.float32]:

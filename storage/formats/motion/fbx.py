@@ -17,7 +17,15 @@ from kinedex.storage.formats.motion.fbx_records import FREE_BYTES
 from kinedex.storage.formats.motion.fbx_scene import BONES, Clip, Scene, SceneNode
 from kinedex.storage.formats.motion.figures import Figure, FigureReader, ScenePoses, figure_bytes, refuse_many_frames
 from kinedex.storage.formats.motion.reader import Extent, MotionFile, ReadSettings
-from kinedex.storage.formats.motion.scene_figures import Group, chosen_person, clip_names, groups_of, unique_names
+from kinedex.storage.formats.motion.scene_figures import (
+    FigureClip,
+    Group,
+    chosen_clip,
+    clip_names,
+    figure_clips,
+    groups_of,
+    unique_names,
+)
 
 F64 = npt.NDArray[np.float64]
 
@@ -36,52 +44,32 @@ class FbxReader(FigureReader):
     endings: ClassVar[tuple[str, ...]] = (".fbx",)
     reads_whole: ClassVar[bool] = True
 
-    def relevant_settings(self, settings: ReadSettings) -> object:
-        """Return the rate that replaces the file's, the only setting that affects the result."""
-        return settings.override_rate_hz
-
     def extent(self, file: MotionFile, joints: int, settings: ReadSettings) -> Extent:
         """Count the frames by the times of the keys, and estimate the memory: the file, its records, and the joints."""
         scene = Scene(file.path, file.data)
-        clips = figure_clips(scene)
-        clip = clips[chosen_person(file.path, file.person, clip_names(clips))]
+        clip = chosen_clip(file.path, file.person, clips_of(scene))
         _, frames, rate_hz, _ = _frames(scene, clip)
         need = figure_bytes(frames, len(scene.nodes), joints) + _KEPT_TIMES * scene.size + FREE_BYTES
         return Extent(frames, need, settings.rate_of(rate_hz, []))
 
     def persons(self, file: MotionFile, mappings: Mappings) -> tuple[str, ...]:
         """Return the names of figures and clips; empty if the file has one clip of one figure."""
-        names = clip_names(figure_clips(Scene(file.path, file.data)))
+        names = clip_names(clips_of(Scene(file.path, file.data)))
         return names if len(names) > 1 else ()
 
     def figure(self, file: MotionFile, settings: ReadSettings) -> Figure:
         """Read the chosen figure of the file, with the motion of its animation clip."""
         scene = Scene(file.path, file.data)
-        clips = figure_clips(scene)
-        return figure_of(scene, clips[chosen_person(file.path, file.person, clip_names(clips))])
+        return figure_of(scene, chosen_clip(file.path, file.person, clips_of(scene)))
 
 
-@dataclass(frozen=True)
-class FigureClip:
-    """An animation stack of a figure."""
-
-    group: Group
-    content: Clip
-    figure: str
-    clip: str
-
-
-def figure_clips(scene: Scene) -> list[FigureClip]:
+def clips_of(scene: Scene) -> list[FigureClip[Clip]]:
     """Return the animation stacks that move each figure; raise SourceError if there are none."""
     groups = skeletons(scene)
-    figures = unique_names([scene.nodes[group.nodes[0]].name or "figure" for group in groups])
-    names = unique_names([clip.name for clip in scene.clips])
-    found = []
-    for group, figure in zip(groups, figures, strict=True):
-        nodes = set(group.nodes)
-        for clip, name in zip(scene.clips, names, strict=True):
-            if any(node in nodes for node, _, _ in clip.curves):
-                found.append(FigureClip(group, clip, figure, name))
+    found = figure_clips(
+        [(group, scene.nodes[group.nodes[0]].name or "figure") for group in groups],
+        [(clip, clip.name, {node for node, _, _ in clip.curves}) for clip in scene.clips],
+    )
     if not found:
         raise SourceError(
             scene.path,
@@ -101,7 +89,7 @@ def skeletons(scene: Scene) -> list[Group]:
     return groups_of(scene.parents, bones, shown)
 
 
-def _frames(scene: Scene, clip: FigureClip) -> tuple[float, int, float, str]:
+def _frames(scene: Scene, clip: FigureClip[Clip]) -> tuple[float, int, float, str]:
     """Return the time of the first frame in seconds, the number of frames, their rate, and a sentence on its origin."""
     chain, _, _ = clip.group.chain(scene.parents)
     nodes = set(chain)
@@ -127,7 +115,7 @@ def _on_frames(times: F64, rate_hz: float) -> bool:
     return bool(np.abs(frames - np.round(frames)).max() <= OFF_GRID)
 
 
-def figure_of(scene: Scene, clip: FigureClip) -> Figure:
+def figure_of(scene: Scene, clip: FigureClip[Clip]) -> Figure:
     """Return a figure with the motion of a clip.
 
     Raises
@@ -170,7 +158,7 @@ def rest_of(scene: Scene, group: Group) -> tuple[F64, F64, str]:
     its bones are as long as the scene's; else the pose of the scene outside of clips.
     """
     chain, parents, shown = group.chain(scene.parents)
-    parts = [_still(scene.nodes[node]) for node in chain]
+    parts = [scene.nodes[node].local(*(move[None] for move in scene.nodes[node].moves)) for node in chain]
     linear, offsets = (np.stack([part[i] for part in parts]) for i in range(2))
     whole, places = global_transforms(parents, linear, offsets)
     own, bound = _lengths(parents, shown, places[:, 0]), scene.bind_pose()
@@ -186,12 +174,6 @@ def rest_of(scene: Scene, group: Group) -> tuple[F64, F64, str]:
             return without_scale(whole[list(shown), 0]), places[list(shown), 0], "the pose of binding"
         whole, places = global_transforms(parents, linear, offsets)
     return without_scale(whole[list(shown), 0]), places[list(shown), 0], "that of the scene outside of clips"
-
-
-def _still(node: SceneNode) -> tuple[F64, F64]:
-    """Return the constant local transform of a node outside of animation clips, as `SceneNode.local` does."""
-    moved, turned, scaled = (move[None] for move in node.moves)
-    return node.local(moved, turned, scaled)
 
 
 def _lengths(parents: Sequence[int], shown: Sequence[int], places: F64) -> F64:
@@ -217,6 +199,5 @@ class _Local:
         for (place, what, axis), curve in self.curves.items():
             moves[place][what][:, axis] = curve.at(seconds, self.late)
         for i, node in enumerate(self.nodes):
-            moved, turned, scaled = moves[i]
-            linear[i], offsets[i] = node.local(moved, turned, scaled)
+            linear[i], offsets[i] = node.local(*moves[i])
         return linear, offsets

@@ -173,9 +173,15 @@ class _Binary:
             kind = self.data[at : at + 1]
             at += 1
             if kind in _TYPES:
-                at = self._value(values, struct.Struct(_TYPES[kind]), at, end)
+                number = struct.Struct(_TYPES[kind])
+                if at + number.size > end:
+                    raise self.error(at, "a number is longer than its record")
+                values.append(number.unpack_from(self.data, at)[0])
+                at += number.size
             elif kind in (b"S", b"R"):
-                length = self._number(at, end)
+                if at + 4 > end:
+                    raise self.error(at, "a length is missing")
+                length = int.from_bytes(self.data[at : at + 4], "little")
                 if at + 4 + length > end:
                     raise self.error(at, "a text is longer than its record")
                 text = self.data[at + 4 : at + 4 + length] if kind == b"S" else b""
@@ -186,17 +192,6 @@ class _Binary:
             else:
                 raise self.error(at, f"a value has the unknown type {kind!r}")
         return values
-
-    def _value(self, values: list[Value], kind: struct.Struct, at: int, end: int) -> int:
-        if at + kind.size > end:
-            raise self.error(at, "a number is longer than its record")
-        values.append(kind.unpack_from(self.data, at)[0])
-        return at + int(kind.size)
-
-    def _number(self, at: int, end: int) -> int:
-        if at + 4 > end:
-            raise self.error(at, "a length is missing")
-        return int.from_bytes(self.data[at : at + 4], "little")
 
     def _array(self, values: list[Value], dtype: np.dtype[Any], at: int, end: int) -> int:
         if at + 12 > end:

@@ -231,7 +231,10 @@ class Scene:
         for below, above, name in self._links:
             if below in moves and above in self._place and name in CHANNELS:
                 target[below] = (self._place[above], CHANNELS[name])
-        clips = {number: _clip(record) for number, record in stacks.items()}
+        clips = {
+            number: Clip(_called(([*stack.values, "", ""])[1]) or "clip", span=_span(stack))
+            for number, stack in stacks.items()
+        }
         first: dict[int, int] = {}
         for below, above, name in self._links:
             axis = "XYZ".find(name[-1:]) if name else -1
@@ -308,10 +311,6 @@ def _properties(record: Record) -> dict[str, list[float]]:
             numbers = [float(value) for value in entry.values[4:] if isinstance(value, int | float)]
             found[entry.values[0]] = numbers
     return found
-
-
-def _clip(stack: Record) -> Clip:
-    return Clip(_called(([*stack.values, "", ""])[1]) or "clip", span=_span(stack))
 
 
 def _span(stack: Record) -> tuple[float, float] | None:

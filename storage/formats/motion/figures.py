@@ -92,12 +92,8 @@ class ScenePoses:
         turned = without_scale(whole[[self.shown[node] for node in nodes]])
         turned = turned @ self.rest[nodes].transpose(0, 2, 1)[:, None]
         axes = self.axes / np.cbrt(abs(np.linalg.det(self.axes)))  # the axes may be a reflection
-        return np.ascontiguousarray(shown.transpose(0, 2, 1)), _rows(axes @ turned @ axes.T)
-
-
-def _rows(turns: F64) -> F64:
-    """Return matrices (M, K, 3, 3) flattened row by row to (M, 9, K)."""
-    return turns.reshape(*turns.shape[:2], 9).transpose(0, 2, 1)
+        rows = (axes @ turned @ axes.T).reshape(*turned.shape[:2], 9).transpose(0, 2, 1)
+        return np.ascontiguousarray(shown.transpose(0, 2, 1)), rows
 
 
 @dataclass(frozen=True)
@@ -142,6 +138,10 @@ class FigureReader(Reader):
 
     format: ClassVar[Format] = "bvh"
 
+    def relevant_settings(self, settings: ReadSettings) -> object:
+        """Return the rate that replaces the file's, the only setting that affects the result."""
+        return settings.override_rate_hz
+
     @abstractmethod
     def figure(self, file: MotionFile, settings: ReadSettings) -> Figure:
         """Return the figure of the file's chosen person, before any mapping.
@@ -155,12 +155,38 @@ class FigureReader(Reader):
     def read(self, file: MotionFile, mappings: Mappings, joints: tuple[str, ...], settings: ReadSettings) -> Body:
         """Read a person of a file.
 
+        The file's unit and axes take precedence over those of the mapping; a unit that gives no human height is
+        replaced by a guess.
+
         Raises
         ------
         SourceError
-            The file is damaged, holds no motion of a skeleton, or its body is not recognised.
+            The file is damaged, holds no motion of a skeleton, its body is not recognised, its unit cannot be guessed,
+            or a joint is implausibly far away.
         """
-        return body_of_figure(file.path, self.figure(file, settings), mappings, joints, settings)
+        path, figure = file.path, self.figure(file, settings)
+        warnings = list(figure.warnings)
+        rate_hz = settings.rate_of(figure.rate_hz, warnings)
+        figure, fit, positions, turned, upturned, bones = fitted_figure(path, figure, mappings, joints)
+        if bones:
+            warnings.append(
+                f"bones {', '.join(bones)} have no length in the file; mapping '{fit.mapping.name}' gives them one"
+            )
+        found = [*recognition_evidence(fit), *upturned]
+        unit = to_metres(path, positions, 1.0, joints, warnings, found, stated=True)
+        refuse_far(path, positions, joints, fit.unknown)
+        return Body(
+            positions=positions,
+            orientation=_orientation(fit, figure, turned, positions, joints, bool(upturned)),
+            rate_hz=rate_hz,
+            unit=unit,
+            skeleton=fit.mapping.name,
+            unknown=fit.unknown,
+            warnings=(*warnings, *recognition_warnings(fit)),
+            estimated=tuple(fit.estimated),
+            confidence=fit.confidence,
+            evidence=(*figure.evidence, *found),
+        )
 
 
 def refuse_many_frames(path: Path, frames: int, keys: int) -> None:
@@ -178,56 +204,6 @@ def figure_bytes(frames: int, nodes: int, joints: int) -> int:
 def _at_once(nodes: int) -> int:
     """Return the number of frames that are posed at once, for at most some 100 MB of node data."""
     return min(AT_ONCE, max(SAMPLED_FRAMES, 200_000 // nodes))
-
-
-def body_of_figure(
-    path: Path, figure: Figure, mappings: Mappings, joints: tuple[str, ...], settings: ReadSettings
-) -> Body:
-    """Convert a figure to a body.
-
-    The file's unit and axes take precedence over those of the mapping; a unit that gives no human height is replaced by
-    a guess.
-
-    Parameters
-    ----------
-    path : Path
-        The file that errors name.
-    figure : Figure
-        The figure.
-    mappings : Mappings
-        Skeleton mappings; those for BVH files are used for all trees.
-    joints : tuple of str
-        The named joints, in the order of the result.
-    settings : ReadSettings
-        Settings of the user.
-
-    Raises
-    ------
-    SourceError
-        No mapping fits, the unit cannot be guessed, or a joint is implausibly far away.
-    """
-    warnings = list(figure.warnings)
-    rate_hz = settings.rate_of(figure.rate_hz, warnings)
-    figure, fit, positions, turned, upturned, bones = fitted_figure(path, figure, mappings, joints)
-    if bones:
-        warnings.append(
-            f"bones {', '.join(bones)} have no length in the file; mapping '{fit.mapping.name}' gives them one"
-        )
-    found = [*recognition_evidence(fit), *upturned]
-    unit = to_metres(path, positions, 1.0, joints, warnings, found, stated=True)
-    refuse_far(path, positions, joints, fit.unknown)
-    return Body(
-        positions=positions,
-        orientation=_orientation(fit, figure, turned, positions, joints, bool(upturned)),
-        rate_hz=rate_hz,
-        unit=unit,
-        skeleton=fit.mapping.name,
-        unknown=fit.unknown,
-        warnings=(*warnings, *recognition_warnings(fit)),
-        estimated=tuple(fit.estimated),
-        confidence=fit.confidence,
-        evidence=(*figure.evidence, *found),
-    )
 
 
 class FittedFigure(NamedTuple):

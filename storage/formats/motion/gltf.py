@@ -13,9 +13,17 @@ from kinedex.catalog.skeletons.mappings import Mappings
 from kinedex.ops.body.keyframe_tracks import OFF_GRID, likely_rate, sample_track
 from kinedex.ops.body.transforms import global_transforms, rotations, without_scale
 from kinedex.storage.formats.motion.figures import Figure, FigureReader, ScenePoses, figure_bytes, refuse_many_frames
-from kinedex.storage.formats.motion.gltf_document import Animation, Document, Node, Sampler, matrix_parts, read_gltf
+from kinedex.storage.formats.motion.gltf_document import Animation, Document, Sampler, matrix_parts, read_gltf
 from kinedex.storage.formats.motion.reader import Extent, MotionFile, ReadSettings
-from kinedex.storage.formats.motion.scene_figures import Group, chosen_person, clip_names, groups_of, unique_names
+from kinedex.storage.formats.motion.scene_figures import (
+    FigureClip,
+    Group,
+    chosen_clip,
+    clip_names,
+    figure_clips,
+    groups_of,
+    unique_names,
+)
 
 F64 = npt.NDArray[np.float64]
 
@@ -31,16 +39,11 @@ class GltfReader(FigureReader):
 
     endings: ClassVar[tuple[str, ...]] = (".glb", ".gltf", ".vrm", ".vrma")
 
-    def relevant_settings(self, settings: ReadSettings) -> object:
-        """Return the rate that replaces the file's, the only setting that affects the result."""
-        return settings.override_rate_hz
-
     def extent(self, file: MotionFile, joints: int, settings: ReadSettings) -> Extent:
         """Count the frames by the times of the keys, and estimate the memory: JSON, keys and joints."""
         document = read_gltf(file.path)
-        clips = _clips(document)
-        clip = clips[chosen_person(file.path, file.person, clip_names(clips))]
-        times = _times(document, clip.animation)
+        clip = chosen_clip(file.path, file.person, _clips(document))
+        times = _times(document, clip.content)
         rate_hz, _ = likely_rate(times)
         frames = _frames(times, rate_hz)
         keys = sum(accessor.count for accessor in document.content.accessors) * 16 * 8
@@ -56,21 +59,10 @@ class GltfReader(FigureReader):
     def figure(self, file: MotionFile, settings: ReadSettings) -> Figure:
         """Return the chosen figure with the motion of its clip."""
         document = read_gltf(file.path)
-        clips = _clips(document)
-        return _figure(document, clips[chosen_person(file.path, file.person, clip_names(clips))])
+        return _figure(document, chosen_clip(file.path, file.person, _clips(document)))
 
 
-@dataclass(frozen=True)
-class _Clip:
-    """An animation of a figure."""
-
-    group: Group
-    animation: Animation
-    figure: str
-    clip: str
-
-
-def _clips(document: Document) -> list[_Clip]:
+def _clips(document: Document) -> list[FigureClip[Animation]]:
     """Return the animations of every figure of a document.
 
     Raises
@@ -79,15 +71,16 @@ def _clips(document: Document) -> list[_Clip]:
         No animation moves a skeleton.
     """
     content = document.content
-    groups = [_humanoid(document)] if _human_bones(document) else _groups(document)
-    figures = unique_names([content.nodes[group.nodes[0]].name or "figure" for group in groups])
-    names = unique_names([animation.name or "clip" for animation in content.animations])
-    found = []
-    for group, figure in zip(groups, figures, strict=True):
-        nodes = set(group.nodes)
-        for animation, name in zip(content.animations, names, strict=True):
-            if any(channel.target.node in nodes for channel in animation.channels):
-                found.append(_Clip(group, animation, figure, name))
+    # the bones that VRM names, each below its nearest named ancestor
+    bones = set(_human_bones(document).values())
+    groups = groups_of(document.parents, bones, bones)[:1] if bones else _groups(document)
+    found = figure_clips(
+        [(group, content.nodes[group.nodes[0]].name or "figure") for group in groups],
+        [
+            (animation, animation.name or "clip", {channel.target.node for channel in animation.channels})
+            for animation in content.animations
+        ],
+    )
     if not found:
         what = "animations" if not content.animations else "animation of a skeleton (of joints of a skin)"
         raise document.error(f"holds no {what}: {len(content.nodes)} nodes, {len(content.skins)} skins")
@@ -130,13 +123,6 @@ def _human_bones(document: Document) -> dict[str, int]:
     return {}
 
 
-def _humanoid(document: Document) -> Group:
-    """Return the bones that VRM names, each below its nearest named ancestor."""
-    bones = _human_bones(document)
-    (group,) = groups_of(document.parents, set(bones.values()), set(bones.values()))[:1]
-    return group
-
-
 @dataclass(frozen=True)
 class _Track:
     """A property of a node that an animation moves."""
@@ -175,17 +161,17 @@ class _Local:
         return linear, offsets
 
 
-def _figure(document: Document, clip: _Clip) -> Figure:
+def _figure(document: Document, clip: FigureClip[Animation]) -> Figure:
     """Return a figure with the motion of a clip."""
-    tracks, nodes = _tracks(document, clip.animation), document.content.nodes
-    times = _times(document, clip.animation)
+    tracks, nodes = _tracks(document, clip.content), document.content.nodes
+    times = _times(document, clip.content)
     rate_hz, usual = likely_rate(times)
     frames = _frames(times, rate_hz)
     refuse_many_frames(document.path, frames, len(times))
     chain, parents, shown = clip.group.chain(document.parents)
     place = {node: i for i, node in enumerate(chain)}
-    parts = [_rest(nodes[node]) for node in chain]
-    turns, scales, offsets = (np.array([part[i] for part in parts]) for i in range(3))
+    turns = np.roll([nodes[node].rotation for node in chain], 1, axis=1)  # w, x, y, z
+    scales, offsets = (np.array([getattr(nodes[node], key) for node in chain]) for key in ("scale", "translation"))
     linear = rotations(turns) * scales[:, None, :]
     for i, node in enumerate(chain):
         if nodes[node].matrix is not None:
@@ -199,9 +185,10 @@ def _figure(document: Document, clip: _Clip) -> Figure:
     poses = ScenePoses(parents, shown, local, float(times[0]), rate_hz, axes, rest)
     sampled = f"its keys have times and no rate; they are sampled at {rate_hz:.6g} Hz"
     warnings = () if usual else (f"{sampled}, which is no usual rate: its keys lie on the frames of none",)
+    bones = {node: name for name, node in _human_bones(document).items()}
     evidence = ("glTF defines metres, and Y up", *((sampled,) if usual else ()), f"its rest pose is {posed}")
     return Figure(
-        names=_names(document, clip.group),
+        names=unique_names([bones.get(node) or nodes[node].name or f"node {node}" for node in clip.group.nodes]),
         parents=clip.group.parents,
         rest=places[list(shown)] @ axes.T,
         poses=poses,
@@ -262,19 +249,6 @@ def _right_angles(turn: F64) -> F64:
     ways = [[s * np.eye(3)[i] for i in range(3) for s in (1, -1)] for _ in range(2)]
     turns = [np.array([x, y, np.cross(x, y)]) for x in ways[0] for y in ways[1] if abs(x @ y) < 0.5]
     return max(turns, key=lambda other: float(np.sum(other * turn)))
-
-
-def _rest(node: Node) -> tuple[F64, F64, F64]:
-    """Return the quaternion w, x, y, z, the scale and the position of a node outside of any clip."""
-    x, y, z, w = node.rotation
-    return np.array([w, x, y, z]), np.array(node.scale), np.array(node.translation)
-
-
-def _names(document: Document, group: Group) -> tuple[str, ...]:
-    """Return the names of a figure's nodes, or of VRM's bones if the file names them."""
-    bones = {node: name for name, node in _human_bones(document).items()}
-    nodes = document.content.nodes
-    return unique_names([bones.get(node) or nodes[node].name or f"node {node}" for node in group.nodes])
 
 
 def _tracks(document: Document, animation: Animation) -> list[_Track]:

@@ -285,13 +285,11 @@ class Document:
                 raise self.error(f"buffers.{buffer} has no uri, and the file's binary part {self.binary[1]} bytes")
             return self._read(self.path, self.binary[0] + start, length)
         if found.uri.startswith("data:"):
-            return self._slice(self._decoded(buffer, found.uri), start, length, buffer)
+            data = self._decoded(buffer, found.uri)
+            if start + length > len(data):
+                raise self.error(f"buffers.{buffer} has {len(data)} bytes in its uri, and {start + length} are needed")
+            return data[start : start + length]
         return self._read(self._beside(buffer, found.uri), start, length)
-
-    def _slice(self, data: bytes, start: int, length: int, buffer: int) -> bytes:
-        if start + length > len(data):
-            raise self.error(f"buffers.{buffer} has {len(data)} bytes in its uri, and {start + length} are needed")
-        return data[start : start + length]
 
     def _decoded(self, buffer: int, uri: str) -> bytes:
         if buffer not in self._embedded:

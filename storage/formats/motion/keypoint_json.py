@@ -319,7 +319,7 @@ def _keypoints(path: Path) -> Keypoints:
     whole = Keypoints(frames=frames)
     for other, number in zip(files, numbers, strict=True):
         content = load_json(other)
-        if _is_empty(content):
+        if isinstance(content, dict) and any(content.get(key) == [] for key in PERSONS):
             continue
         found = read_keypoints(other, content)
         if whole.names not in ((), found.names):
@@ -330,10 +330,6 @@ def _keypoints(path: Path) -> Keypoints:
     if not whole.persons:
         raise SourceError(path, f"and the {len(files) - 1} files after it have no person in any frame")
     return whole
-
-
-def _is_empty(content: object) -> bool:
-    return isinstance(content, dict) and any(content.get(key) == [] for key in PERSONS)
 
 
 def sequence_of(path: Path, head: str) -> tuple[Path, ...]:

@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 import re
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import ClassVar
 
-from kinedex.catalog.skeletons.mappings import Mappings
 from kinedex.ops.errors import SourceError
-from kinedex.storage.formats.motion.points import Points, PointsReader, bodies_of, labels_of_person
-from kinedex.storage.formats.motion.position_tables import Section, cells_of, first_lines, parse_number, refuse_jumps
+from kinedex.storage.formats.motion.points import Points
+from kinedex.storage.formats.motion.position_tables import PointTable, TableReader, cells_of, first_lines, parse_number
 from kinedex.storage.formats.motion.reader import FASTEST_HZ, MOST_POINTS, SLOWEST_HZ, MotionFile, ReadSettings
 from kinedex.storage.formats.source_files import beginning
 
@@ -22,19 +21,14 @@ _KINDS = ("Bone", "Marker", "Bone Marker", "Rigid Body Marker")
 
 
 @dataclass(frozen=True)
-class _Layout:
-    """The columns of a file: the labels of its points, and the columns of x, y and z of each."""
+class _Table(PointTable):
+    """The table of a file, the type of its points, and the key, value pairs of its first line."""
 
-    header: tuple[str, ...]
-    line: int
-    labels: tuple[str, ...]
-    columns: tuple[tuple[int, int, int], ...]
-    kind: str
-    texts: tuple[int, ...]
-    stated: dict[str, str]
+    kind: str = ""
+    stated: dict[str, str] = field(default_factory=dict)
 
 
-class MotiveReader(PointsReader):
+class MotiveReader(TableReader):
     """Reads the CSV files of Motive, whose first line begins with "Format Version"."""
 
     title: ClassVar[str] = "CSV (OptiTrack Motive)"
@@ -44,42 +38,28 @@ class MotiveReader(PointsReader):
         """Return whether the first line is that of Motive."""
         return beginning(path).replace('"', "").startswith("Format Version,")
 
-    def persons(self, file: MotionFile, mappings: Mappings) -> tuple[str, ...]:
-        """Return the names of the skeletons, if there are several."""
-        return tuple(bodies_of(_layout(file.path).labels))
-
-    def size(self, file: MotionFile) -> tuple[int, int, int]:
-        """Return the numbers of rows and points of a file, and the memory in bytes that reading it needs."""
-        layout = _layout(file.path)
-        table = _table(file.path, layout)
-        return table.rows, len(layout.labels), table.bytes + 24 * table.rows
+    def table(self, path: Path) -> PointTable:
+        """Return the table of the first type of points that the file has."""
+        return _table(path)
 
     def points(self, file: MotionFile, settings: ReadSettings) -> Points:
         """Read the positions of the bones of a skeleton, or of markers if there is no skeleton."""
-        path, layout = file.path, _layout(file.path)
-        stated, warnings = layout.stated, list[str]()
+        path, table = file.path, _table(file.path)
+        stated, warnings = table.stated, list[str]()
         if stated.get("Coordinate Space", "Global").lower() != "global":
             raise SourceError(
                 path, f"positions are in the space {stated['Coordinate Space']!r}, in which bones lie on each other: "
                 "export it again with Coordinate Space: Global", line=1,
             )  # fmt: skip
-        places, names = labels_of_person(path, layout.labels, file.person, warnings)
-        order = [column for i in places for column in layout.columns[i]]
-        table = _table(path, layout)
-        positions, (numbers,), where = table.points(layout.header, order, (0,))
-        refuse_jumps(path, numbers, where)
-        if layout.kind != "Bone":
-            warnings.append(f"it holds no bones; the body is that of its points of type {layout.kind}")
+        names, positions = table.read(file.person, warnings)
+        if table.kind != "Bone":
+            warnings.append(f"it holds no bones; the body is that of its points of type {table.kind}")
         return Points(
             str(path), names, positions, _rate(path, stated), unit_m=_unit(path, stated), warnings=warnings
         )  # fmt: skip
 
 
-def _table(path: Path, layout: _Layout) -> Section:
-    return Section(path, ",", 1, layout.line, 1 << 62, layout.texts)
-
-
-def _layout(path: Path) -> _Layout:
+def _table(path: Path) -> _Table:
     """Read the rows before the numbers: key, value pairs, then a row each for type, name and axis of the columns."""
     rows = [[cell.strip() for cell in cells_of(line, ",")] for line in first_lines(path, _HEADER_LINES)]
     if rows[0][:1] != ["Format Version"]:
@@ -105,7 +85,7 @@ def _layout(path: Path) -> _Layout:
         raise SourceError(path, f"expected at most {MOST_POINTS} points, found {len(points[used])}", line=last + 1)
     columns = tuple((at["X"], at["Y"], at["Z"]) for at in points[used].values())
     texts = tuple(i for i, axis in enumerate(axes) if axis.lower().startswith("timecode"))
-    return _Layout(tuple(axes), last + 1, tuple(points[used]), columns, used, texts, stated)
+    return _Table(path, tuple(points[used]), tuple(axes), columns, last + 1, texts=texts, kind=used, stated=stated)
 
 
 def _described(path: Path, rows: list[list[str]]) -> tuple[list[str], list[str], list[str]]:

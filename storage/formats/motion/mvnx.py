@@ -95,12 +95,15 @@ def figure_of(path: Path, subject: Subject, settings: ReadSettings) -> Figure:
     if not SLOWEST_HZ <= rate_hz <= FASTEST_HZ:
         raise SourceError(path, f"frameRate must be {SLOWEST_HZ:g} to {FASTEST_HZ:g} Hz, got {rate_hz:g}")
     lost = MEASURED.get(subject.configuration, ())
-    used = [name for name in subject.segments if _of_body(name) and not name.endswith(lost)]
+    used = [name for name in subject.segments if name in ("Pelvis", *PARENTS) and not name.endswith(lost)]
     if "Pelvis" not in used:
         raise SourceError(path, f"has no segment Pelvis; it has {', '.join(subject.segments[:30])}")
     names = [name for name in ("Pelvis", *PARENTS) if name in used]
     parents = [-1, *(_parent(name, names) for name in names[1:])]
     tips = [name for name in names if TIPS.get(name) in subject.points[name]]
+    steps = np.diff(np.frombuffer(subject.indices, np.int64))
+    missing = int(np.sum(steps[steps > 1] - 1))
+    gaps = f"{missing} frames are missing between others, by their index; the motion jumps there"
     warnings = [f"the file was recorded with the suit {subject.configuration}, so the rest is unknown"] if lost else []
     return Figure(
         names=(*names, *(f"{name}_end" for name in tips)),
@@ -116,13 +119,9 @@ def figure_of(path: Path, subject: Subject, settings: ReadSettings) -> Figure:
         frames=subject.frames,
         rate_hz=rate_hz,
         evidence=("the file is of Xsens MVN, whose axes are X forward and Z up, in metres",),
-        warnings=(*warnings, *_gaps(subject)),
+        warnings=(*warnings, *([gaps] if missing else [])),
         upright=True,
     )
-
-
-def _of_body(name: str) -> bool:
-    return name == "Pelvis" or name in PARENTS
 
 
 def _parent(name: str, names: list[str]) -> int:
@@ -131,14 +130,6 @@ def _parent(name: str, names: list[str]) -> int:
     while above not in names:
         above = PARENTS[above]
     return names.index(above)
-
-
-def _gaps(subject: Subject) -> list[str]:
-    steps = np.diff(np.frombuffer(subject.indices, np.int64))
-    missing = int(np.sum(steps[steps > 1] - 1))
-    if not missing:
-        return []
-    return [f"{missing} frames are missing between others, by their index; the motion jumps there"]
 
 
 def _rest(subject: Subject, names: list[str], parents: list[int], tips: list[str]) -> F64:

@@ -9,10 +9,9 @@ from itertools import pairwise
 from pathlib import Path
 from typing import ClassVar
 
-from kinedex.catalog.skeletons.mappings import Mappings
 from kinedex.ops.errors import SourceError
-from kinedex.storage.formats.motion.points import Points, PointsReader, bodies_of, labels_of_person
-from kinedex.storage.formats.motion.position_tables import Section, cells_of, parse_number, refuse_jumps
+from kinedex.storage.formats.motion.points import Points
+from kinedex.storage.formats.motion.position_tables import PointTable, TableReader, cells_of, parse_number
 from kinedex.storage.formats.motion.reader import FASTEST_HZ, MOST_POINTS, SLOWEST_HZ, MotionFile, ReadSettings
 from kinedex.storage.formats.motion.text_blocks import after_last_line, blocks
 from kinedex.storage.formats.source_files import beginning, text_of
@@ -30,21 +29,15 @@ _AXES = (("X", "Y", "Z"), ("TX", "TY", "TZ"))
 
 
 @dataclass(frozen=True)
-class _Layout:
-    """A section with positions: its lines, its columns, and the labels of its points."""
+class _Table(PointTable):
+    """A section with positions: its title, its rate, and the metres per unit."""
 
-    title: str
-    start: int
-    header: int
-    stop: int
-    rate_hz: float
-    cells: tuple[str, ...]
-    labels: tuple[str, ...]
-    columns: tuple[tuple[int, int, int], ...]
-    unit_m: float | None
+    title: str = ""
+    rate_hz: float = 0.0
+    unit_m: float | None = None
 
 
-class NexusReader(PointsReader):
+class NexusReader(TableReader):
     """Reads CSV files of Vicon, whose sections begin with a line for the title and one for the rate."""
 
     title: ClassVar[str] = "CSV (Vicon Nexus)"
@@ -54,34 +47,20 @@ class NexusReader(PointsReader):
         """Return whether the file begins with a section, after optional header lines of Workstation."""
         return _START.search(beginning(path, 1 << 14)) is not None
 
-    def persons(self, file: MotionFile, mappings: Mappings) -> tuple[str, ...]:
-        """Return the names of the subjects, if several have enough points for a person."""
-        return tuple(bodies_of(_layout(file.path).labels))
-
-    def size(self, file: MotionFile) -> tuple[int, int, int]:
-        """Return the numbers of rows and points of the section, and the memory in bytes that reading it needs."""
-        layout = _layout(file.path)
-        table = _table(file.path, layout)
-        return table.rows, len(layout.labels), table.bytes + 24 * table.rows
+    def table(self, path: Path) -> PointTable:
+        """Return the table of the section with positions."""
+        return _table(path)
 
     def points(self, file: MotionFile, settings: ReadSettings) -> Points:
         """Read the markers of a subject, or the points that its model computes if there are no markers."""
-        path, layout = file.path, _layout(file.path)
-        warnings: list[str] = []
-        if layout.title != "trajectories":
-            warnings.append(f"it has no section Trajectories; the body is that of {layout.title.title()}")
-        places, names = labels_of_person(path, layout.labels, file.person, warnings)
-        order = [column for i in places for column in layout.columns[i]]
-        positions, (numbers,), where = _table(path, layout).points(layout.cells, order, (0,))
-        refuse_jumps(path, numbers, where)
-        return Points(str(path), names, positions, layout.rate_hz, unit_m=layout.unit_m, warnings=warnings)
+        table, warnings = _table(file.path), list[str]()
+        if table.title != "trajectories":
+            warnings.append(f"it has no section Trajectories; the body is that of {table.title.title()}")
+        names, positions = table.read(file.person, warnings)
+        return Points(str(file.path), names, positions, table.rate_hz, unit_m=table.unit_m, warnings=warnings)
 
 
-def _table(path: Path, layout: _Layout) -> Section:
-    return Section(path, ",", layout.start, layout.header, layout.stop)
-
-
-def _layout(path: Path) -> _Layout:
+def _table(path: Path) -> _Table:
     """Find the section with positions, and describe its columns."""
     found: dict[str, tuple[int, int, list[str]]] = {}
     for title, start, stop, head in _sections(path):
@@ -103,8 +82,9 @@ def _layout(path: Path) -> _Layout:
     has_units = len(rows) > 4 and any(cell in _UNITS_M or cell == "deg" for cell in rows[4])
     labels, columns, unit_m = _points(path, rows[2], rows[3], rows[4] if has_units else [], start)
     cells = tuple(f"{axis} {i}" for i, axis in enumerate(rows[3]))
-    return _Layout(
-        used, start, start + (4 if has_units else 3), stop, rate_hz, cells, labels, columns, unit_m
+    line = start + (4 if has_units else 3)
+    return _Table(
+        path, labels, cells, columns, line, start=start, stop=stop, title=used, rate_hz=rate_hz, unit_m=unit_m
     )  # fmt: skip
 
 
@@ -112,7 +92,8 @@ def _sections(path: Path) -> Iterator[tuple[str, int, int, list[str]]]:
     """Yield title, first line, last line and the first five lines of every section; empty lines separate them."""
     title, start, head = "", 0, list[str]()
     number = 0
-    for number, line in enumerate(_lines(path), 1):
+    lines = (line for block in blocks(path, None, after_last_line) for line in text_of(block.data).splitlines())
+    for number, line in enumerate(lines, 1):
         bare = line.strip(', "\t')
         if title and not bare and len(head) > 3:
             yield title, start, number - 1, head
@@ -123,11 +104,6 @@ def _sections(path: Path) -> Iterator[tuple[str, int, int, list[str]]]:
             head.append(line)
     if title:
         yield title, start, number, head
-
-
-def _lines(path: Path) -> Iterator[str]:
-    for block in blocks(path, None, after_last_line):
-        yield from text_of(block.data).splitlines()
 
 
 def _points(

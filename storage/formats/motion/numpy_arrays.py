@@ -14,7 +14,8 @@ import pickletools
 import re
 import sys
 import zipfile
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from contextlib import contextmanager
 from pathlib import Path
 from typing import IO, Any, NoReturn
 
@@ -43,18 +44,13 @@ def load_arrays(path: Path, wanted: Iterable[str]) -> tuple[dict[str, npt.NDArra
     SourceError
         The file cannot be read, or an array's header does not fit its bytes.
     """
-    try:
-        with zipfile.ZipFile(path) as packed:
-            keys = {entry.filename.removesuffix(".npy"): entry for entry in packed.infolist()}
-            arrays = {}
-            for key in keys.keys() & set(wanted):
-                with packed.open(keys[key]) as entry:
-                    arrays[key] = _array(path, entry, f"'{key}'", keys[key].file_size)
-            return arrays, list(keys)
-    except SourceError:
-        raise
-    except Exception as fault:  # NumPy, zipfile, zlib and tokenize raise many classes of errors for damaged data
-        raise SourceError(path, f"cannot be read as NumPy arrays: {fault}") from None
+    with _numpy_errors(path), zipfile.ZipFile(path) as packed:
+        keys = {entry.filename.removesuffix(".npy"): entry for entry in packed.infolist()}
+        arrays = {}
+        for key in keys.keys() & set(wanted):
+            with packed.open(keys[key]) as entry:
+                arrays[key] = _array(path, entry, f"'{key}'", keys[key].file_size)
+        return arrays, list(keys)
 
 
 def array_shapes(path: Path) -> dict[str, tuple[tuple[int, ...], np.dtype[Any]]]:
@@ -65,30 +61,24 @@ def array_shapes(path: Path) -> dict[str, tuple[tuple[int, ...], np.dtype[Any]]]
     SourceError
         The file cannot be read.
     """
-    try:
+    headers = {}
+    with _numpy_errors(path):
         if path.suffix.lower() == ".npy":
             with path.open("rb") as file:
-                return {"": _header(file)}
-        found = {}
-        with zipfile.ZipFile(path) as packed:
-            for entry in packed.infolist():
-                if entry.filename.endswith(".npy"):
-                    with packed.open(entry) as part:
-                        found[entry.filename.removesuffix(".npy")] = _header(part)
-        return found
-    except Exception as fault:
-        raise SourceError(path, f"cannot be read as NumPy arrays: {fault}") from None
+                headers[""] = npy_header(file)
+        else:
+            with zipfile.ZipFile(path) as packed:
+                for entry in packed.infolist():
+                    if entry.filename.endswith(".npy"):
+                        with packed.open(entry) as part:
+                            headers[entry.filename.removesuffix(".npy")] = npy_header(part)
+    return {name: (shape, dtype) for name, (shape, _, dtype) in headers.items()}
 
 
 def load_array(path: Path) -> npt.NDArray[Any]:
     """Return the array of an NPY file; raise SourceError if it cannot be read or is truncated."""
-    try:
-        with path.open("rb") as file:
-            return _array(path, file, "the file", path.stat().st_size)
-    except SourceError:
-        raise
-    except Exception as fault:
-        raise SourceError(path, f"cannot be read as NumPy arrays: {fault}") from None
+    with _numpy_errors(path), path.open("rb") as file:
+        return _array(path, file, "the file", path.stat().st_size)
 
 
 def array_names(path: Path) -> list[str]:
@@ -100,9 +90,27 @@ def array_names(path: Path) -> list[str]:
         return []
 
 
+def npy_header(file: IO[bytes]) -> tuple[tuple[int, ...], bool, np.dtype[Any]]:
+    """Read the header of an NPY file: shape, whether it is stored by columns, and type."""
+    version = np.lib.format.read_magic(file)
+    read_header = np.lib.format.read_array_header_1_0 if version == (1, 0) else np.lib.format.read_array_header_2_0
+    return read_header(file)
+
+
+@contextmanager
+def _numpy_errors(path: Path) -> Iterator[None]:
+    """Turn the many errors that NumPy, zipfile, zlib and tokenize raise for damaged data into a SourceError."""
+    try:
+        yield
+    except SourceError:
+        raise
+    except Exception as fault:
+        raise SourceError(path, f"cannot be read as NumPy arrays: {fault}") from None
+
+
 def _array(path: Path, file: IO[bytes], what: str, size: int) -> npt.NDArray[Any]:
     """Return an array in NPY format of `size` bytes in all, after a check of its header against them."""
-    shape, dtype = _header(file)
+    shape, _, dtype = npy_header(file)
     numbers = math.prod(shape)
     if numbers * dtype.itemsize != size - file.tell():
         raise SourceError(
@@ -117,21 +125,12 @@ def _array(path: Path, file: IO[bytes], what: str, size: int) -> npt.NDArray[Any
         )
     file.seek(0)
     array: npt.NDArray[Any] = np.lib.format.read_array(file, allow_pickle=False)
-    if dtype.kind == "U" and array.size and _letters(array).max(initial=0) > sys.maxunicode:
-        raise SourceError(path, f"{what} has letters that are none: its texts are damaged")
+    if dtype.kind == "U" and array.size:
+        # invalid code points would make Python fail later
+        letters = np.ascontiguousarray(array.astype(array.dtype.newbyteorder("="))).view(np.uint32)
+        if letters.max(initial=0) > sys.maxunicode:
+            raise SourceError(path, f"{what} has letters that are none: its texts are damaged")
     return array
-
-
-def _header(file: IO[bytes]) -> tuple[tuple[int, ...], np.dtype[Any]]:
-    version = np.lib.format.read_magic(file)
-    read_header = np.lib.format.read_array_header_1_0 if version == (1, 0) else np.lib.format.read_array_header_2_0
-    shape, _, dtype = read_header(file)
-    return shape, dtype
-
-
-def _letters(texts: npt.NDArray[np.str_]) -> npt.NDArray[np.uint32]:
-    """Return the code points of texts, since invalid ones make Python fail later."""
-    return np.ascontiguousarray(texts.astype(texts.dtype.newbyteorder("="))).view(np.uint32)
 
 
 MOST_PICKLE_BYTES = 512 << 20
@@ -336,13 +335,8 @@ def _plain(found: Mapping[Any, Any], depth: int) -> dict[str, Any]:
             except _Refused:
                 continue  # a take may hold other values beside its numbers
         elif isinstance(value, (bool, int, float, str)):
-            if _small(value):
+            if not isinstance(value, int) or abs(value) < 1 << 62:  # Python's integers are unbounded
                 plain[str(key)[:200]] = np.array(value)
         elif isinstance(value, list) and value and all(isinstance(item, float) for item in value):
             plain[str(key)[:200]] = np.array(value)
     return plain
-
-
-def _small(value: object) -> bool:
-    """Return whether a number or text fits into an array; Python's integers are unbounded."""
-    return not isinstance(value, int) or abs(value) < 1 << 62

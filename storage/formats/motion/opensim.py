@@ -18,6 +18,7 @@ from kinedex.storage.formats.motion.osim import LARGEST, Model, read_osim
 from kinedex.storage.formats.motion.points import Points, PointsReader
 from kinedex.storage.formats.motion.position_tables import Section, cells_of, first_lines
 from kinedex.storage.formats.motion.reader import FASTEST_HZ, SLOWEST_HZ, MotionFile, ReadSettings
+from kinedex.storage.formats.motion.sources import shared_prefix
 from kinedex.storage.formats.source_files import beginning
 
 F64 = npt.NDArray[np.float64]
@@ -75,7 +76,7 @@ class OpenSimReader(PointsReader):
     def size(self, file: MotionFile) -> tuple[int, int, int]:
         """Return the number of rows, the number of points of a large model, and the memory in bytes for reading."""
         layout = _layout(file.path)
-        table = _table(file.path, layout)
+        table = Section(file.path, layout.separator, layout.line)
         return table.rows, 200, table.bytes + 40 * table.rows * len(layout.columns) + 1600 * _AT_ONCE * 100
 
     def points(self, file: MotionFile, settings: ReadSettings) -> Points:
@@ -115,7 +116,7 @@ def model_of(path: Path, columns: Sequence[str], settings: ReadSettings) -> Path
     if given is not None:
         return Path(given).expanduser()
     found = sorted(other for other in path.parent.iterdir() if other.suffix.lower() == ".osim" and other.is_file())
-    shared = [_shared(path.stem.casefold(), other.stem.casefold()) for other in found]
+    shared = [shared_prefix(path.stem.casefold(), other.stem.casefold()) for other in found]
     best = [other for other, length in zip(found, shared, strict=True) if length == max(shared)]
     if len(best) == 1:
         return best[0]
@@ -130,10 +131,6 @@ def model_of(path: Path, columns: Sequence[str], settings: ReadSettings) -> Path
         f"holds the coordinates of an OpenSim model ({', '.join(columns[1:4])}, …), which alone has the joints: "
         "put its .osim file beside it, or give it by `body_model`, or --body-model",
     )
-
-
-def _shared(a: str, b: str) -> int:
-    return next((i for i, (x, y) in enumerate(zip(a, b, strict=False)) if x != y), min(len(a), len(b)))
 
 
 def _layout(path: Path) -> _Layout:
@@ -157,10 +154,6 @@ def _layout(path: Path) -> _Layout:
     return _Layout(tuple(columns), at + 2, separator, degrees, warnings)
 
 
-def _table(path: Path, layout: _Layout) -> Section:
-    return Section(path, layout.separator, 1, layout.line, 1 << 62)
-
-
 def _values(path: Path, layout: _Layout, model: Model, warnings: list[str]) -> tuple[F64, float]:
     """Return the coordinates (Q, T) of a model in radians and metres, at a constant rate, and that rate."""
     there = layout.coordinates()
@@ -173,9 +166,15 @@ def _values(path: Path, layout: _Layout, model: Model, warnings: list[str]) -> t
             "forces, which make no motion", line=layout.line,
         )  # fmt: skip
     columns = [0, *(there[name] for name in known)]
-    numbers = _table(path, layout).points(layout.columns, (0, 0, 0), columns)[1]
+    numbers = Section(path, layout.separator, layout.line).points(layout.columns, (0, 0, 0), columns)[1]
     times, rate_hz = numbers[0], 0.0
-    _refuse_gaps(path, layout, numbers, columns)
+    for place, found in zip(columns, numbers, strict=True):
+        bad = ~(np.abs(found) <= LARGEST)
+        if bad.any():  # a joint without an angle has no position
+            raise SourceError(
+                path, f"column '{layout.columns[place]}' has no number within {LARGEST:g} in frame "
+                f"{int(np.argmax(bad))}", line=layout.line,
+            )  # fmt: skip
     if len(times) > 1 and (np.diff(times) > 0).all():
         rate_hz = (len(times) - 1) / float(times[-1] - times[0])
     if not SLOWEST_HZ <= rate_hz <= FASTEST_HZ:
@@ -202,17 +201,6 @@ def _values(path: Path, layout: _Layout, model: Model, warnings: list[str]) -> t
         more = f" and {len(lacking) - 6} more" if len(lacking) > 6 else ""
         warnings.append(f"coordinates that it lacks stay as in the model: {', '.join(lacking[:6])}{more}")
     return values, rate_hz
-
-
-def _refuse_gaps(path: Path, layout: _Layout, numbers: list[F64], columns: list[int]) -> None:
-    """Raise SourceError for a coordinate without a number: a joint without an angle has no position."""
-    for column, found in zip(columns, numbers, strict=True):
-        bad = ~(np.abs(found) <= LARGEST)
-        if bad.any():
-            raise SourceError(
-                path, f"column '{layout.columns[column]}' has no number within {LARGEST:g} in frame "
-                f"{int(np.argmax(bad))}", line=layout.line,
-            )  # fmt: skip
 
 
 def _posed(path: Path, model: Model, values: F64) -> tuple[tuple[str, ...], F64]:

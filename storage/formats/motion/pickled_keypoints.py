@@ -14,7 +14,7 @@ from kinedex.storage.formats.motion.numpy_arrays import load_pickle
 from kinedex.storage.formats.motion.points import Points, PointsReader
 from kinedex.storage.formats.motion.position_tables import whole_points
 from kinedex.storage.formats.motion.reader import MotionFile, ReadSettings
-from kinedex.storage.formats.source_files import file_size
+from kinedex.storage.formats.source_files import file_size, first_bytes
 
 KEYS = ("keypoints3d_optim", "keypoints3d")
 """The keys of the positions; smoothed ones take precedence."""
@@ -32,11 +32,7 @@ class PickledKeypointsReader(PointsReader):
 
     def sniff(self, path: Path) -> bool:
         """Return whether the first keys of a pickle are those of 3D keypoints."""
-        try:
-            with path.open("rb") as file:
-                return KEYS[1].encode() in file.read(_HEAD)
-        except OSError:
-            return False
+        return KEYS[1].encode() in first_bytes(path, _HEAD)
 
     def size(self, file: MotionFile) -> tuple[int, int, int]:
         """Return 0 for the unknown frames, the number of points, and an estimate of the memory in bytes for reading."""

@@ -312,6 +312,10 @@ class PointsReader(Reader):
             The file cannot be read.
         """
 
+    def named(self, points: Points, mappings: Mappings) -> Points:
+        """Return the points with a name for each; by default they have names."""
+        return points
+
     def relevant_settings(self, settings: ReadSettings) -> object:
         """Return the rates and the longest gap, the settings that affect the result."""
         return settings.rate_hz, settings.override_rate_hz, settings.fill_gap_frames
@@ -340,7 +344,7 @@ class PointsReader(Reader):
         SourceError
             The file is damaged, or the body is not recognised.
         """
-        points = self.points(file, settings)
+        points = self.named(self.points(file, settings), mappings)
         evidence = evidence_of(points, self.up)
         fit = mappings.detect(file.path, "positions", points.places(), evidence)
         warnings = [*points.warnings, *recognition_warnings(fit)]

@@ -4,14 +4,19 @@ from __future__ import annotations
 
 import codecs
 import csv
+from abc import abstractmethod
 from collections.abc import Collection, Iterator, Sequence
+from dataclasses import dataclass
 from itertools import islice
 from pathlib import Path
 
 import numpy as np
 import numpy.typing as npt
 
+from kinedex.catalog.skeletons.mappings import Mappings
 from kinedex.ops.errors import SourceError
+from kinedex.storage.formats.motion.points import PointsReader, bodies_of, labels_of_person
+from kinedex.storage.formats.motion.reader import MotionFile
 from kinedex.storage.formats.motion.text_blocks import BLOCK, LONGEST
 from kinedex.storage.formats.source_files import file_size, part_of, source_bytes, source_errors, text_of
 
@@ -214,8 +219,10 @@ class Section(Table):
         The file.
     separator : str
         The character between cells.
-    start, header, stop : int
-        Numbers, from 1, of the section's first line, of the last line of its header, and of its last line.
+    header : int
+        The number, from 1, of the last line of its header.
+    start, stop : int, optional
+        The numbers of its first and its last line.
     texts : collection of int, optional
         Columns that hold text, such as time codes; they are read as empty.
     missing : str, optional
@@ -231,9 +238,9 @@ class Section(Table):
         self,
         path: Path,
         separator: str,
-        start: int,
         header: int,
-        stop: int,
+        start: int = 1,
+        stop: int = 1 << 62,
         texts: Collection[int] = (),
         missing: str = "",
     ) -> None:
@@ -284,3 +291,75 @@ def refuse_jumps(path: Path, numbers: F64, where: Lines) -> None:
                 path, f"expected the number of the next frame, {before + 1:g}, got {number:g}; export all frames",
                 line=int(where[i]),
             )  # fmt: skip
+
+
+@dataclass(frozen=True)
+class PointTable:
+    """A table of labelled points in a text file.
+
+    Attributes
+    ----------
+    path : Path
+        The file.
+    labels : tuple of str
+        The labels of the points, some with their subject in front, as `Ann:LKNE`.
+    header : tuple of str
+        A name for each column, for messages.
+    columns : tuple of (int, int, int)
+        The columns of x, y and z of each point.
+    line : int
+        The last line before the rows.
+    separator, start, stop, texts, missing
+        As for `Section`.
+    numbered : bool
+        True if the first column is the number of the frame.
+    """
+
+    path: Path
+    labels: tuple[str, ...]
+    header: tuple[str, ...]
+    columns: tuple[tuple[int, int, int], ...]
+    line: int
+    separator: str = ","
+    start: int = 1
+    stop: int = 1 << 62
+    texts: tuple[int, ...] = ()
+    missing: str = ""
+    numbered: bool = True
+
+    def section(self) -> Section:
+        """Open the lines of the table, and count its rows."""
+        return Section(self.path, self.separator, self.line, self.start, self.stop, self.texts, self.missing)
+
+    def read(self, person: str, warnings: list[str]) -> tuple[tuple[str, ...], F64]:
+        """Return names and positions (N, 3, T) of the points of one person, as `labels_of_person` chooses them.
+
+        Raises
+        ------
+        SourceError
+            A cell is no number, or frames are missing between others.
+        """
+        places, names = labels_of_person(self.path, self.labels, person, warnings)
+        order = [column for i in places for column in self.columns[i]]
+        positions, numbers, where = self.section().points(self.header, order, (0,) if self.numbered else ())
+        if numbers:
+            refuse_jumps(self.path, numbers[0], where)
+        return names, positions
+
+
+class TableReader(PointsReader):
+    """A reader of text files with one table of labelled points; subclasses define `points` and `table`."""
+
+    @abstractmethod
+    def table(self, path: Path) -> PointTable:
+        """Return the table of a file; raise SourceError if its header is not that of the format."""
+
+    def persons(self, file: MotionFile, mappings: Mappings) -> tuple[str, ...]:
+        """Return the names of the subjects, if several have the landmarks of a body."""
+        return tuple(bodies_of(self.table(file.path).labels))
+
+    def size(self, file: MotionFile) -> tuple[int, int, int]:
+        """Return the numbers of rows and points of the table, and the memory in bytes that reading it needs."""
+        table = self.table(file.path)
+        section = table.section()
+        return section.rows, len(table.labels), section.bytes + 24 * section.rows

@@ -13,34 +13,28 @@ from typing import Any, ClassVar
 import numpy as np
 import numpy.typing as npt
 
-from kinedex.catalog.skeletons.mappings import Format, Mappings
+from kinedex.catalog.skeletons.mappings import Mappings
 from kinedex.catalog.skeletons.recognition.landmarks import load_landmarks
 from kinedex.catalog.skeletons.recognition.points import recognise_points
 from kinedex.ops.errors import SourceError, did_you_mean
-from kinedex.storage.formats.motion.mapped_body import recognition_warnings
 from kinedex.storage.formats.motion.numpy_arrays import array_shapes, load_array, load_arrays
 from kinedex.storage.formats.motion.points import (
-    FittedPoints,
     Points,
+    PointsReader,
     bodies_of,
-    body_of_points,
     evidence_of,
-    points_bytes,
     points_of_person,
-    upright,
 )
 from kinedex.storage.formats.motion.position_tables import Lines, Table, cells_of, whole_points
 from kinedex.storage.formats.motion.reader import (
     FASTEST_HZ,
     MOST_POINTS,
     SLOWEST_HZ,
-    Body,
     Extent,
     MotionFile,
-    Reader,
     ReadSettings,
 )
-from kinedex.storage.formats.source_files import part_of
+from kinedex.storage.formats.source_files import any_text, as_number, part_of
 
 F64 = npt.NDArray[np.float64]
 
@@ -90,7 +84,7 @@ def is_positions_csv(path: Path) -> bool:
             header = file.readline(1 << 20)
     except OSError:
         return True
-    cells = [cell.strip() for cell in cells_of(_text(header), ",")]
+    cells = [cell.strip() for cell in cells_of(any_text(header, "utf-8-sig"), ",")]
     axes: dict[str, set[str]] = {}
     for found in filter(None, map(_AXIS.fullmatch, cells)):
         axes.setdefault(found[1], set()).add(found[2].lower())
@@ -194,7 +188,7 @@ def trc_head(path: Path) -> TrcHead:
     SourceError
         The file cannot be read, or has no line that begins with Frame# and names the markers.
     """
-    lines = _text(part_of(path, _LONGEST_HEAD)).splitlines()
+    lines = any_text(part_of(path, _LONGEST_HEAD), "utf-8-sig").splitlines()
     at = next((i for i, line in enumerate(lines[:_HEAD_LINES]) if line.strip().lower().startswith("frame")), None)
     if at is None:
         raise SourceError(
@@ -287,11 +281,8 @@ def _unique(names: Sequence[str], warnings: list[str]) -> tuple[str, ...]:
 
 
 def _number(text: str) -> float | None:
-    try:
-        value = float(text)
-    except ValueError:
-        return None
-    return value if math.isfinite(value) else None
+    value = as_number(text)
+    return value if value is not None and math.isfinite(value) else None
 
 
 def parse_arrays(path: Path) -> Points:
@@ -331,7 +322,9 @@ def parse_arrays(path: Path) -> Points:
     for start in range(0, len(array), _AT_ONCE):
         positions[:, :, start : start + _AT_ONCE] = np.moveaxis(array[start : start + _AT_ONCE], 0, 2)
     if np.isinf(positions).any():
-        raise SourceError(path, f"'{key}' has infinite numbers, the first in frame {_first(np.isinf(positions), 2)}")
+        raise SourceError(
+            path, f"'{key}' has infinite numbers, the first in frame {np.nonzero(np.isinf(positions))[2].min()}"
+        )
     return Points(str(path), names, whole_points(positions), rate_hz)
 
 
@@ -356,13 +349,6 @@ def _is_text(name: str) -> bool:
         return name.encode().decode() == name
     except UnicodeError:
         return False
-
-
-def _text(data: bytes) -> str:
-    try:
-        return data.decode("utf-8-sig")
-    except UnicodeDecodeError:
-        return data.decode("latin-1")
 
 
 def _check_frames(path: Path, numbers: F64, where: Lines) -> None:
@@ -390,66 +376,40 @@ def _clock(path: Path, times: F64, where: Lines) -> float | None:
     return float(round(rate_hz)) if abs(rate_hz - round(rate_hz)) < _ROUNDED * rate_hz else rate_hz
 
 
-def _first(mask: npt.NDArray[np.bool_], axis: int) -> int:
-    return int(np.nonzero(mask)[axis].min())
-
-
 def _refuse_count(path: Path, count: int, what: str, line: int | None) -> None:
     if not 0 < count <= MOST_POINTS:
         raise SourceError(path, f"expected 1 to {MOST_POINTS} {what}, found {count}", line=line)
 
 
-class PositionsReader(Reader):
+class PositionsReader(PointsReader):
     """Reads files of joint positions; a .csv file counts as one if its header names joints."""
 
-    format: ClassVar[Format] = "positions"
     endings: ClassVar[tuple[str, ...]] = (".trc", ".csv", ".npz", ".npy")
 
     def sniff(self, path: Path) -> bool:
         """Return whether a .csv has the header of joint positions; for other extensions return True."""
         return path.suffix.lower() != ".csv" or is_positions_csv(path)
 
-    def relevant_settings(self, settings: ReadSettings) -> object:
-        """Return the rates and the longest gap, the settings that affect the result."""
-        return settings.rate_hz, settings.override_rate_hz, settings.fill_gap_frames
+    def size(self, file: MotionFile) -> tuple[int, int, int]:
+        """Count the rows of a table, or read the header of an array."""
+        return positions_extent(file.path)
 
     def extent(self, file: MotionFile, joints: int, settings: ReadSettings) -> Extent:
-        """Count the rows of a table, or read the header of an array, and estimate the memory: all points."""
-        frames, points, more = positions_extent(file.path)
-        need = points_bytes(frames, points, joints) + more
-        return Extent(frames, need, settings.override_rate_hz or settings.rate_hz)
+        """Return the frames and the memory of all points; the rate may be the user's alone, since no NPY states one."""
+        found = super().extent(file, joints, settings)
+        return replace(found, rate_hz=settings.override_rate_hz or settings.rate_hz)
 
-    def read(self, file: MotionFile, mappings: Mappings, joints: tuple[str, ...], settings: ReadSettings) -> Body:
-        """Read a file of joint positions (TRC, CSV, NPZ, NPY).
+    def points(self, file: MotionFile, settings: ReadSettings) -> Points:
+        """Read the points of one person (TRC, CSV, NPZ, NPY)."""
+        return points_of_person(parse_positions(file.path), file.person)
 
-        Raises
-        ------
-        SourceError
-            The file is damaged, no mapping fits, no frame is complete, or no rate is known.
-        """
-        points, fit, warnings = self.fitted(file, mappings, settings)
-        return body_of_points(points, points.names, fit, joints, settings, warnings)
-
-    def fitted(self, file: MotionFile, mappings: Mappings, settings: ReadSettings) -> FittedPoints:
-        """Read a file of joint positions, and recognise the body.
-
-        Raises
-        ------
-        SourceError
-            The file is damaged, or no mapping fits.
-        """
-        points = points_of_person(parse_positions(file.path), file.person)
-        warnings = list(points.warnings)
-        if not points.names:
-            called, names = _names_in_order(points, mappings)
-            points = replace(points, names=names)
-            warnings.append(f"the file does not name its joints; they are read in the order of {called}")
-        evidence = evidence_of(points)
-        fit = mappings.detect(file.path, "positions", points.places(), evidence)
-        warnings += recognition_warnings(fit)
-        if "positions" not in mappings.forced:
-            fit = upright(fit, evidence, warnings)
-        return FittedPoints(points, fit, warnings)
+    def named(self, points: Points, mappings: Mappings) -> Points:
+        """Return the points with names: of arrays that have none, those of the likeliest order of joints."""
+        if points.names:
+            return points
+        called, names = _names_in_order(points, mappings)
+        remark = f"the file does not name its joints; they are read in the order of {called}"
+        return replace(points, names=names, warnings=[*points.warnings, remark])
 
     def persons(self, file: MotionFile, mappings: Mappings) -> tuple[str, ...]:
         """Return the subjects of the labels of a TRC file that have the landmarks of a body, if there are several."""

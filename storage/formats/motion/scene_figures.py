@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Protocol
+from typing import Generic, TypeVar
 
 from kinedex.ops.errors import SourceError
+
+Content = TypeVar("Content")
 
 
 @dataclass(frozen=True)
@@ -92,19 +94,36 @@ def groups_of(above: Sequence[int], bones: set[int], shown: set[int]) -> list[Gr
     return groups
 
 
-class NamedClip(Protocol):
-    """A clip of a figure, with the names of clip and figure."""
+@dataclass(frozen=True)
+class FigureClip(Generic[Content]):
+    """A clip of a figure: the nodes that it moves, what the file has of it, and the names of figure and clip."""
 
-    @property
-    def figure(self) -> str:
-        """The name of the figure."""
-
-    @property
-    def clip(self) -> str:
-        """The name of the clip."""
+    group: Group
+    content: Content
+    figure: str
+    clip: str
 
 
-def clip_names(clips: Sequence[NamedClip]) -> tuple[str, ...]:
+def figure_clips(
+    figures: Sequence[tuple[Group, str]], clips: Sequence[tuple[Content, str, Collection[int | None]]]
+) -> list[FigureClip[Content]]:
+    """Return the clips that move each figure, from figures with their names, and clips with names and moved nodes."""
+    called = unique_names([name for _, name in figures])
+    names = unique_names([name for _, name, _ in clips])
+    return [
+        FigureClip(group, content, figure, name)
+        for (group, _), figure in zip(figures, called, strict=True)
+        for (content, _, moved), name in zip(clips, names, strict=True)
+        if not set(group.nodes).isdisjoint(moved)
+    ]
+
+
+def chosen_clip(path: Path, person: str, clips: Sequence[FigureClip[Content]]) -> FigureClip[Content]:
+    """Return the clip that is read as a person; raise a SourceError that lists them if the choice is not clear."""
+    return clips[chosen_person(path, person, clip_names(clips))]
+
+
+def clip_names(clips: Sequence[FigureClip[Content]]) -> tuple[str, ...]:
     """Return a name for each clip of each figure: the figure's, the clip's, or both, as needed to tell them apart."""
     figures = len({clip.figure for clip in clips}) > 1
     several = len({clip.clip for clip in clips}) > 1

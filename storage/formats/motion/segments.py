@@ -13,14 +13,14 @@ from kinedex.catalog.skeletons.mappings import Mappings
 from kinedex.catalog.skeletons.skeleton_fit import Fit
 from kinedex.ops.body import axisangle, kinematics
 from kinedex.storage.formats.motion.acclaim import AcclaimReader, AmcFile, fitted_skeleton
-from kinedex.storage.formats.motion.amass import AmassReader, fitted_poses, model_turns
+from kinedex.storage.formats.motion.amass import AmassReader, Poses, fitted_poses, model_turns
+from kinedex.storage.formats.motion.body_models import BodyModel
 from kinedex.storage.formats.motion.bvh import BvhReader, fitted_person
 from kinedex.storage.formats.motion.bvh_parser import BvhFile
 from kinedex.storage.formats.motion.c3d import C3dReader
-from kinedex.storage.formats.motion.figures import AT_ONCE, FigureReader, fitted_figure
+from kinedex.storage.formats.motion.figures import AT_ONCE, Figure, FigureReader, fitted_figure
 from kinedex.storage.formats.motion.mapped_body import Motion
 from kinedex.storage.formats.motion.points import PointsReader
-from kinedex.storage.formats.motion.positions import PositionsReader
 from kinedex.storage.formats.motion.reader import Body, MotionFile, ReadSettings
 from kinedex.storage.formats.motion.reader_table import reader_of
 
@@ -79,7 +79,7 @@ def read_segments(
     reader = reader_of(file.path)
     body = reader.read(file, mappings, joints, settings)
     wanted = set(limbs)
-    if isinstance(reader, (C3dReader, PositionsReader, PointsReader)):
+    if isinstance(reader, (C3dReader, PointsReader)):
         fitted = reader.fitted(file, mappings, settings)
         # the body's unit is a text: metres, and perhaps a remark
         scale = float(body.unit.split()[0])
@@ -92,46 +92,40 @@ def read_segments(
         }
         return Segments(body, markers=markers, ends=_ends(fitted.fit))
     if isinstance(reader, AcclaimReader):
-        return _of_acclaim(file, mappings, body, wanted)
-    if isinstance(reader, BvhReader):
-        return _of_bvh(file, mappings, joints, body, wanted)
-    if isinstance(reader, AmassReader):
-        return _of_amass(file, mappings, joints, settings, body, wanted)
-    if isinstance(reader, FigureReader):
-        return _of_figure(reader, file, mappings, joints, settings, body, wanted)
-    return Segments(body)
+        skeleton, fit = fitted_skeleton(file, mappings)
+        nodes = limb_nodes(skeleton.path, fit, [node.parent for node in skeleton.nodes], at_end=True)
+        turned = _node_turns(AmcFile(file.path, skeleton, file.data), skeleton.nodes, nodes, wanted)
+    elif isinstance(reader, BvhReader):
+        motion = BvhFile(file.path, file.data)
+        person = fitted_person(motion, file.person, mappings, joints)
+        fit = person.fit
+        nodes = limb_nodes(file.path, fit, [node.parent for node in person.nodes], at_end=False)
+        turned = _node_turns(motion, person.nodes, nodes, wanted)
+    elif isinstance(reader, AmassReader):
+        poses, model, _, fit, _ = fitted_poses(file, mappings, joints, settings)
+        nodes = limb_nodes(file.path, fit, model.parents, at_end=False)
+        turned = _model_turns(poses, model, {limb: node for limb, node in nodes.items() if limb in wanted})
+    elif isinstance(reader, FigureReader):
+        figure, fit, *_ = fitted_figure(file.path, reader.figure(file, settings), mappings, joints)
+        nodes = limb_nodes(file.path, fit, figure.parents, at_end=False)
+        turned = _figure_turns(figure, {limb: node for limb, node in nodes.items() if limb in wanted})
+    else:
+        return Segments(body)
+    # from the file's axes, matrices row by row, to quaternions in the world's, Y up
+    axes = fit.mapping.axes
+    turns = {limb: np.ascontiguousarray(kinematics.quaternions(rows, axes, axes.T).T) for limb, rows in turned.items()}
+    return Segments(body, turns, ends=_ends(fit))
 
 
 def _ends(fit: Fit) -> dict[str, tuple[str, str]]:
     return {limb: source.ends(limb) for limb, source in fit.mapping.limbs.items() if source.axis}
 
 
-def _of_acclaim(file: MotionFile, mappings: Mappings, body: Body, wanted: set[str]) -> Segments:
-    skeleton, fit = fitted_skeleton(file, mappings)
-    nodes = limb_nodes(skeleton.path, fit, [node.parent for node in skeleton.nodes], at_end=True)
-    turned = _node_turns(AmcFile(file.path, skeleton, file.data), skeleton.nodes, nodes, wanted)
-    return Segments(body, _in_world(turned, fit), ends=_ends(fit))
-
-
-def _of_bvh(file: MotionFile, mappings: Mappings, joints: tuple[str, ...], body: Body, wanted: set[str]) -> Segments:
-    motion = BvhFile(file.path, file.data)
-    found = fitted_person(motion, file.person, mappings, joints)
-    nodes = limb_nodes(file.path, found.fit, [node.parent for node in found.nodes], at_end=False)
-    return Segments(body, _in_world(_node_turns(motion, found.nodes, nodes, wanted), found.fit), ends=_ends(found.fit))
-
-
-def _of_amass(
-    file: MotionFile,
-    mappings: Mappings,
-    joints: tuple[str, ...],
-    settings: ReadSettings,
-    body: Body,
-    wanted: set[str],
-) -> Segments:
-    poses, model, _, fit, _ = fitted_poses(file, mappings, joints, settings)
-    nodes = limb_nodes(file.path, fit, model.parents, at_end=False)
-    turned = {limb: np.empty((9, body.frames)) for limb in nodes if limb in wanted}
-    for start in range(0, body.frames, _FRAMES_AT_ONCE):
+def _model_turns(poses: Poses, model: BodyModel, nodes: Mapping[str, int]) -> dict[str, F64]:
+    """Return the rotations (9, T) of joints of a body model, by the names of their limbs."""
+    frames = len(poses.turns)
+    turned = {limb: np.empty((9, frames)) for limb in nodes}
+    for start in range(0, frames, _FRAMES_AT_ONCE):
         part = slice(start, start + _FRAMES_AT_ONCE)
         turns = model_turns(poses, model, part)
         whole: list[F64] = []
@@ -140,28 +134,18 @@ def _of_amass(
             whole.append(own if parent < 0 else whole[parent] @ own)
         for limb in turned:
             turned[limb][:, part] = whole[nodes[limb]].reshape(-1, 9).T
-    return Segments(body, _in_world(turned, fit), ends=_ends(fit))
+    return turned
 
 
-def _of_figure(
-    reader: FigureReader,
-    file: MotionFile,
-    mappings: Mappings,
-    joints: tuple[str, ...],
-    settings: ReadSettings,
-    body: Body,
-    wanted: set[str],
-) -> Segments:
-    found = fitted_figure(file.path, reader.figure(file, settings), mappings, joints)
-    figure = found.figure
-    nodes = limb_nodes(file.path, found.fit, figure.parents, at_end=False)
-    turned = {limb: np.empty((9, figure.frames)) for limb in nodes if limb in wanted}
+def _figure_turns(figure: Figure, nodes: Mapping[str, int]) -> dict[str, F64]:
+    """Return the rotations (9, T) of nodes of a figure, by the names of their limbs."""
+    turned = {limb: np.empty((9, figure.frames)) for limb in nodes}
     for start in range(0, figure.frames, AT_ONCE):
         part = np.arange(start, min(start + AT_ONCE, figure.frames))
-        _, turns = figure.poses.at(part, [nodes[limb] for limb in turned])
+        _, turns = figure.poses.at(part, list(nodes.values()))
         for own, limb in zip(turns, turned, strict=True):
             turned[limb][:, part] = own
-    return Segments(body, _in_world(turned, found.fit), ends=_ends(found.fit))
+    return turned
 
 
 def _node_turns(
@@ -176,9 +160,3 @@ def _node_turns(
             rows[:, at:stop] = kinematics.forward(chain, channels[: stop - at], nodes[limb], ())[1]
         at = stop
     return turned
-
-
-def _in_world(turned: Mapping[str, F64], fit: Fit) -> dict[str, F64]:
-    """Convert rotations (9, T) in the file's axes to quaternions (T, 4) in the world's, Y up."""
-    axes = fit.mapping.axes
-    return {limb: np.ascontiguousarray(kinematics.quaternions(rows, axes, axes.T).T) for limb, rows in turned.items()}

@@ -385,12 +385,13 @@ _NO_SKELETONS = _Folder()
 
 def _alike(stem: str, folder: _Folder) -> list[SourceFile]:
     """Return the skeletons of a folder whose stems share the longest prefix with a stem."""
-    shared = {other: _shared_prefix(stem, other) for other in folder.of_stem}
+    shared = {other: shared_prefix(stem, other) for other in folder.of_stem}
     longest = max(shared.values(), default=0)
     return [s for other, length in shared.items() if length == longest > 0 for s in folder.of_stem[other]]
 
 
-def _shared_prefix(a: str, b: str) -> int:
+def shared_prefix(a: str, b: str) -> int:
+    """Return the number of characters with which both of two texts begin."""
     return next((i for i, (x, y) in enumerate(zip(a, b, strict=False)) if x != y), min(len(a), len(b)))
 
 

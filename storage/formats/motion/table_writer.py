@@ -88,8 +88,9 @@ def write_trc(path: Path, motion: JointMotion) -> None:
     rate = f"{motion.rate_hz:.10g}"
     values = (rate, rate, str(len(places)), str(len(joints)), "m", rate, "1", str(len(places)))
     axes = "".join(f"X{i}\tY{i}\tZ{i}\t" for i in range(1, len(joints) + 1))
+    name = "".join(letter if letter.isprintable() else "_" for letter in motion.name)
     lines = [
-        f"PathFileType\t4\t(X/Y/Z)\t{_one_line(motion.name)}.trc",
+        f"PathFileType\t4\t(X/Y/Z)\t{name}.trc",
         "\t".join(_KEYS),
         "\t".join(values),
         "Frame#\tTime\t" + "".join(f"{MARKER_NAMES[joint]}\t\t\t" for joint in joints),
@@ -99,23 +100,11 @@ def write_trc(path: Path, motion: JointMotion) -> None:
     with path.open("w", encoding="utf-8", newline="\n") as file:
         file.write("\n".join(lines) + "\n")
         for start in range(0, len(places), _AT_ONCE):
-            block = places[start : start + _AT_ONCE].reshape(-1, 3 * len(joints))
-            file.writelines(_row(start + i, motion.rate_hz, cells) for i, cells in enumerate(_cells(block)))
-
-
-def _one_line(name: str) -> str:
-    """Return a name without tabs and line ends."""
-    return "".join(letter if letter.isprintable() else "_" for letter in name)
-
-
-def _cells(block: np.ndarray[tuple[int, ...], np.dtype[np.float32]]) -> list[list[str]]:
-    """Return the shortest texts that restore the numbers; blank for NaN."""
-    texts: list[list[str]] = block.astype("U").tolist()
-    return [["" if cell == "nan" else cell for cell in row] for row in texts]
-
-
-def _row(frame: int, rate_hz: float, cells: list[str]) -> str:
-    return f"{frame + 1}\t{frame / rate_hz:.6f}\t" + "\t".join(cells) + "\t\n"
+            # the shortest texts that restore the numbers
+            texts = places[start : start + _AT_ONCE].reshape(-1, 3 * len(joints)).astype("U").tolist()
+            for frame, row in enumerate(texts, start):
+                cells = "\t".join("" if cell == "nan" else cell for cell in row)
+                file.write(f"{frame + 1}\t{frame / motion.rate_hz:.6f}\t{cells}\t\n")
 
 
 F32 = npt.NDArray[np.float32]

@@ -11,12 +11,13 @@ import yaml
 from typer.testing import CliRunner
 
 import kinedex
+from kinedex.catalog.depth_recordings import load_depth_recordings
 from kinedex.commands.cli import app
 from kinedex.pipelines.stages.index import Index
 from kinedex.pipelines.stages.ingest import Ingest
 from kinedex.storage.formats.depth.camera_file import read_camera
 from kinedex.storage.formats.depth.png import read_depth_png
-from kinedex.storage.formats.depth.recording import read_recordings
+from kinedex.storage.formats.depth.recording import read_recording
 from tests.pipelines.archives import context, write_archive
 
 
@@ -55,7 +56,7 @@ def test_recordings_name_their_files_and_the_truth_lies_in_the_images(store: Pat
     assert np.ptp(moved, axis=(0, 1)) == pytest.approx(np.zeros(3), abs=1e-5)  # the take was only lowered
     files = sorted((tmp_path / "r" / "x_al_hop_1" / "depth").iterdir())
     assert [path.name for path in files] == [f"{frame:06d}.png" for frame in range(6)]
-    (recording,) = read_recordings(tmp_path / "r" / "recordings.yaml")
+    recording = read_recording(load_depth_recordings(tmp_path / "r" / "recordings.yaml"), "x_al_hop_1")
     assert (recording.name, recording.rate_hz, recording.notes) == ("x_al_hop_1", 30, ())
     background = recording.background
     assert background is not None

@@ -17,7 +17,7 @@ from kinedex.console.terminal import Progress
 from kinedex.ops.errors import KinedexError, ParameterError
 from kinedex.ops.synth.performance import MOTIONS
 from kinedex.pipelines.synth.archive import Summary, write_archive
-from kinedex.storage.formats.motion.acclaim import read_amc
+from kinedex.storage.formats.motion.acclaim import AmcFile
 from kinedex.storage.formats.motion.asf import read_asf
 from kinedex.storage.formats.motion.sources import scan, skeleton_of
 from studies.synthetic_motion import HDM05, HDM05_FRAMES, SETS, figures, within, words_of
@@ -51,7 +51,7 @@ def test_every_file_is_read_with_the_skeleton_of_its_actor(archive: tuple[Path, 
         skeleton = skeleton_of(motion, sources.skeletons)
         assert motion.stem.startswith(skeleton.stem + "_")
         assert Path(skeleton.path).parts[0] == Path(motion.path).parts[0]
-        frames += len(read_amc(motion.absolute, read_asf(skeleton.absolute)).channels)
+        frames += AmcFile(motion.absolute, read_asf(skeleton.absolute)).frames
     assert len(sources.motions) == summary.clips + summary.takes
     assert frames == summary.frames
     assert abs(summary.clip_minutes + summary.take_minutes - 1.0) < 0.4

@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from kinedex.ops.errors import ParameterError, StoreError
-from kinedex.storage.disk import FileSums, sync_file
+from kinedex.storage.disk import write_flushed
 from kinedex.storage.index.builder import build_index
 from kinedex.storage.lock import Lock
 from kinedex.storage.snapshot.manifest_files import manifest_path, named_files, read_version, versions
@@ -124,12 +124,12 @@ def test_a_run_that_is_written_while_garbage_is_collected_is_in_the_history(
 ) -> None:
     collections = []
 
-    def collected(path: Path) -> FileSums:
+    def collected(path: Path, content: bytes) -> None:
+        write_flushed(path, content)
         if not collections:
             collections.append(collect(store.path))
-        return sync_file(path)
 
-    monkeypatch.setattr(history, "sync_file", collected)
+    monkeypatch.setattr(history, "write_flushed", collected)
     history.write_run(store.path, history.PipelineRun("20260101-000000-abcdef", "p", begun="2026"))
     assert any(item.path.startswith("history/.tmp-") for item in collections[0].removed)
     assert [run.run for run in history.list_runs(store.path)][-1] == "20260101-000000-abcdef"

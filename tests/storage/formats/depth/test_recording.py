@@ -20,7 +20,7 @@ from kinedex.storage.formats.depth import recording as recording_reader
 from kinedex.storage.formats.depth.camera_file import write_camera
 from kinedex.storage.formats.depth.frame_files import CONVERTERS
 from kinedex.storage.formats.depth.png import write_depth_png
-from kinedex.storage.formats.depth.recording import DepthRecording, read_recordings
+from kinedex.storage.formats.depth.recording import DepthRecording, read_recording
 from tests.depth_files import SIZE, Recorded, camera, cloud_points, pcd, ply, recorded, room, with_person
 
 
@@ -30,8 +30,14 @@ def walk(tmp_path: Path) -> Recorded:
 
 
 def read(walk: Recorded, **changed: Any) -> DepthRecording:
-    (found,) = read_recordings(walk.write(**changed))
-    return found
+    return only(walk.write(**changed))
+
+
+def only(path: Path) -> DepthRecording:
+    """Return the only recording of a file."""
+    file = load_depth_recordings(path)
+    (name,) = file.recordings
+    return read_recording(file, name)
 
 
 def same(found: DepthRecording, walk: Recorded) -> None:
@@ -201,7 +207,7 @@ def test_the_given_recordings_are_read(shared: Path, tmp_path: Path, name: str) 
     entry = {"depth": f"{folder}/depth/*.png", "camera": f"{folder}/camera.yaml", "truth": f"{folder}/ground_truth.csv"}
     path = tmp_path / "recordings.yaml"
     path.write_text(yaml.safe_dump({"recordings": {name: entry | {"background": f"{folder}/background.png"}}}))
-    (found,) = read_recordings(path)
+    found = only(path)
     assert len(found.frames) == {"squat": 47, "kickL": 31, "throw": 60}[name[:5]]
     assert found.rate_hz == 30
     assert not found.notes
@@ -219,7 +225,7 @@ def test_the_given_frames_of_a_kinect_are_read(shared: Path, tmp_path: Path) -> 
     entry = {"depth": f"{folder}/depth_*.png", "camera": f"{folder}/camera.yaml", "rate_hz": 30}
     path = tmp_path / "recordings.yaml"
     path.write_text(yaml.safe_dump({"recordings": {"kinect": entry}}))
-    (found,) = read_recordings(path)
+    found = only(path)
     assert len(found.frames) == 11
     assert found.frames.missing == (9,)
     assert found.background is None

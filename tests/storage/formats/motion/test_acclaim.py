@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from kinedex.ops import textnumbers
 from kinedex.ops.body import kinematics
 from kinedex.ops.errors import SourceError
-from kinedex.storage.formats.motion.acclaim import read_amc
+from kinedex.storage.formats.motion.acclaim import AmcFile
 from kinedex.storage.formats.motion.asf import read_asf
 from tests.acclaim_files import SKELETON, amc_text, asf_text, rest
 from tests.oracles import kinematics as oracle
@@ -27,8 +27,8 @@ def write(path: Path, text: str) -> Path:
 
 def positions(tmp_path: Path, asf: str, amc: str) -> tuple[dict[str, np.ndarray], np.ndarray]:
     skeleton = read_asf(write(tmp_path / "a.asf", asf))
-    motion = read_amc(write(tmp_path / "a.amc", amc), skeleton)
-    nodes, orientation = kinematics.forward(skeleton.nodes, motion.channels)
+    motion = AmcFile(write(tmp_path / "a.amc", amc), skeleton)
+    nodes, orientation = kinematics.forward(skeleton.nodes, motion.channels())
     return {name: nodes[i].T for name, i in skeleton.bones.items()}, orientation
 
 
@@ -112,9 +112,9 @@ def test_line_ends_blank_lines_comments_and_order_of_bones_do_not_matter(tmp_pat
 def test_a_take_that_begins_at_a_later_frame_says_so(tmp_path: Path) -> None:
     text = amc_text(rest(2)).replace("\n1\n", "\n1368\n").replace("\n2\n", "\n1369\n")
     skeleton = read_asf(write(tmp_path / "a.asf", asf_text()))
-    assert read_amc(write(tmp_path / "a.amc", text), skeleton).warnings == (
-        "frame numbers begin at 1368; its source frame here is 0",
-    )
+    motion = AmcFile(write(tmp_path / "a.amc", text), skeleton)
+    motion.channels()
+    assert motion.warnings == ("frame numbers begin at 1368; its source frame here is 0",)
 
 
 AMC_FAULTS = {
@@ -149,7 +149,7 @@ def test_a_fault_in_an_amc_file_is_named_with_its_line(tmp_path: Path, fault: st
     skeleton = read_asf(write(tmp_path / "a.asf", asf_text()))
     path = write(tmp_path / "a.amc", break_it(amc_text(rest())))
     with pytest.raises(SourceError) as caught:
-        read_amc(path, skeleton)
+        AmcFile(path, skeleton).channels()
     assert message in str(caught.value)
     assert str(path) in str(caught.value)
     assert caught.value.line == line

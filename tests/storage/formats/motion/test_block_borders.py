@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 
 from kinedex.ops.errors import SourceError
 from kinedex.storage.formats.motion import text_blocks
-from kinedex.storage.formats.motion.acclaim import AmcFile, read_amc
+from kinedex.storage.formats.motion.acclaim import AmcFile
 from kinedex.storage.formats.motion.asf import read_asf
 from kinedex.storage.formats.motion.bvh_parser import BvhFile, parse_bvh
 from tests.oracles import motion_text as naive
@@ -110,7 +110,7 @@ def test_amc_files_in_blocks_have_the_numbers_of_a_naive_reader(text: str, size:
         metres = skeleton.unit_m / skeleton.length_scale
         scale = np.array([1.0 if kind in ("rx", "ry", "rz") else metres for kind in kinds])
         expected = np.array(naive.frames(text, [name for name, _ in skeleton.channels])) * scale
-        np.testing.assert_array_equal(in_blocks(size, lambda: read_amc(path, skeleton).channels), expected)
+        np.testing.assert_array_equal(in_blocks(size, lambda: AmcFile(path, skeleton).channels()), expected)
         read = lambda: np.concatenate([part.copy() for part in AmcFile(path, skeleton).blocks()])  # noqa: E731
         np.testing.assert_array_equal(in_blocks(size, read), expected)
 
@@ -130,8 +130,8 @@ def test_a_damaged_file_has_the_same_error_in_blocks_of_any_size(text: str, size
                 if path.suffix == ".bvh":
                     bvh = parse_bvh(path)
                     return bvh.channels.tobytes(), bvh.warnings
-                motion = read_amc(path, read_asf(asf))
-                return motion.channels.tobytes(), motion.warnings
+                motion = AmcFile(path, read_asf(asf))
+                return motion.channels().tobytes(), motion.warnings
             except SourceError as fault:
                 return str(fault)
 

@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 
 from kinedex.ops.body.resample import covered_frames
 from kinedex.ops.errors import ParameterError, SourceError
-from kinedex.storage.formats.motion.acclaim import read_amc
+from kinedex.storage.formats.motion.acclaim import AmcFile
 from kinedex.storage.formats.motion.amc_cuts import write_amc_cut
 from kinedex.storage.formats.motion.asf import read_asf
 from kinedex.storage.formats.motion.bvh_cuts import write_bvh_cut
@@ -107,11 +107,11 @@ def test_a_cut_of_an_amc_file_is_numbered_from_1_with_its_skeleton_beside_it(tmp
     asf.write_bytes(asf_text(newline=newline).encode("latin-1"))
     text = amc_text(rest(7), newline=newline)
     source.write_bytes(text.encode("latin-1"))
-    whole = read_amc(source, read_asf(asf))
+    whole = AmcFile(source, read_asf(asf)).channels()
     targets = [tmp_path / "out.amc", tmp_path / "out.asf"]
     write_amc_cut(targets, cut_of(source, 2, 6, asf))
-    found = read_amc(targets[0], read_asf(targets[1]))
-    np.testing.assert_array_equal(found.channels, whole.channels[2:6])
+    found = AmcFile(targets[0], read_asf(targets[1])).channels()
+    np.testing.assert_array_equal(found, whole[2:6])
     assert targets[1].read_bytes() == asf.read_bytes()
     lines = targets[0].read_bytes().decode("latin-1").split(newline)
     assert [line for line in lines if line.isdigit()] == ["1", "2", "3", "4"]
@@ -158,6 +158,6 @@ def test_cuts_of_files_of_many_programs_have_their_numbers(shared: Path, tmp_pat
         assert target.read_bytes().split() == source.read_bytes().split()
     for source in (shared / "data/hdm05/takes/HDM_mm_take03.amc", shared / "data/cmu/01/01_01.amc"):
         asf = next(iter(source.parent.glob("*.asf")))
-        frames = len(read_amc(source, read_asf(asf)).channels)
+        frames = AmcFile(source, read_asf(asf)).frames
         write_amc_cut([tmp_path / "a.amc", tmp_path / "a.asf"], cut_of(source, 0, frames, asf))
         assert (tmp_path / "a.amc").read_bytes() == source.read_bytes()

@@ -14,7 +14,7 @@ from kinedex.ops.body import kinematics
 from kinedex.ops.errors import SourceError
 from kinedex.pipelines.ingestion.analysis import analyse
 from kinedex.storage.formats.motion.bvh_parser import parse_bvh
-from kinedex.storage.formats.motion.fbx import figure_clips, figure_of, rest_of, skeletons
+from kinedex.storage.formats.motion.fbx import clips_of, figure_of, rest_of, skeletons
 from kinedex.storage.formats.motion.fbx_scene import ORDERS, Scene, SceneNode, rotations_of
 from kinedex.storage.formats.motion.reader import Body, MotionFile, ReadSettings
 from kinedex.storage.formats.motion.reader_table import reader_of
@@ -259,7 +259,7 @@ def test_a_walk_of_others_is_that_of_its_bvh(shared: Path) -> None:
     """The walk of bvh-toolbox, with keys at 60 Hz, and as BVH at 24 Hz."""
     folder = shared / "data" / "wild" / "bvh-toolbox"
     scene = Scene(folder / "template.fbx")
-    (clip,) = figure_clips(scene)
+    (clip,) = clips_of(scene)
     figure = figure_of(scene, clip)
     assert (figure.rate_hz, figure.frames) == (60.0, 251)
     bvh = parse_bvh(folder / "walk01.bvh")
