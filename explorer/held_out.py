@@ -31,11 +31,12 @@ from starlette.requests import Request
 from kinedex.explorer.addresses import Progress, post_with_progress
 from kinedex.explorer.archive import Archive
 from kinedex.explorer.class_annotation import class_segments
-from kinedex.explorer.held_out_truth import F64, Prepared, dividing_threshold, prepared_template
+from kinedex.explorer.held_out_truth import Prepared, dividing_threshold, prepared_template
 from kinedex.explorer.hits import shown_hits
 from kinedex.explorer.template_edits import Edit, EditQuestion, edited_template, is_edited, same_edit
 from kinedex.ops.annotation.calibration import threshold_scores
 from kinedex.ops.annotation.segments import Segment
+from kinedex.ops.arrays import F64
 from kinedex.ops.evaluation.metrics import compare, pooled
 from kinedex.ops.intervals import Hit, Interval, in_seconds
 from kinedex.ops.wording import few

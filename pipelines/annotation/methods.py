@@ -26,7 +26,7 @@ from kinedex.ops.distances.pruning import CoarseBound, coarse_bounds
 from kinedex.ops.distances.range_minima import minima_within
 from kinedex.ops.errors import KinedexError
 from kinedex.ops.templates.templates import QuantisedTemplate, Template
-from kinedex.ops.words import MOST_FEATURES, U64, TakeWords, compacted, known_bits
+from kinedex.ops.words import MOST_FEATURES, TakeWords, compacted, known_bits
 
 NARROW = 4
 """Bounds are used for templates matched in more than one of this number of frames; for others they cost more time."""
