@@ -155,7 +155,7 @@ class Learned(Protocol):
 
 
 @dataclass(frozen=True)
-class Example:
+class NearestExample:
     """An example clip: the frames [start, stop) of a take, and the frame of the clip for each frame of the hit."""
 
     take: str
@@ -167,7 +167,7 @@ class Example:
 
 def nearest_examples(
     store: Store, hits: Mapping[Key, str | None], templates: Sequence[Learned], progress: Progress = no_progress
-) -> dict[Key, Example]:
+) -> dict[Key, NearestExample]:
     """Find the nearest example of each hit.
 
     Mirrored clips are not compared, because the store has only the original motion.
@@ -185,7 +185,7 @@ def nearest_examples(
 
     Returns
     -------
-    dict of (take, class, start, stop) to Example
+    dict of (take, class, start, stop) to NearestExample
         The nearest example of each hit; hits whose template has no clip in the store are missing.
     """
     clips = {template.subclass: clips_of(store, template) for template in templates}
@@ -204,7 +204,7 @@ def nearest_examples(
             shown = [words[take][start:stop] for take, _, start, stop in own]
             near = nearest_clips(parts, shown, len(store.feature_set.features))
             for hit, one in zip(own, near, strict=True):
-                found[hit] = Example(*chosen[one.clip], one.cost, one.frames)
+                found[hit] = NearestExample(*chosen[one.clip], one.cost, one.frames)
             bar.advance()
     return found
 
