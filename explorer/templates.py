@@ -373,8 +373,8 @@ def template_use(store: Store, stage: str, kind: Kind | None = None) -> Template
     evaluate = None if annotate is None else _reader(store, annotate, "evaluate", "annotations")
     if evaluate is not None and not store.manifest.stages[evaluate].summary.get("evaluated_takes"):
         evaluate = None
-    name = None if annotate is None else (store.manifest.stages[annotate].summary.get("inputs") or {}).get("keyframes")
-    keyframes = None if name is None else f"{pipeline_of(annotate)}/{name}"
+    inputs = {} if annotate is None else store.manifest.stages[annotate].summary.get("inputs") or {}
+    keyframes = f"{pipeline_of(stage)}/{inputs['keyframes']}" if inputs.get("keyframes") is not None else None
     remarks = [*remarks, *more]
     return TemplateUse(
         stage, chosen, templates, classes, params, thresholds, annotate, evaluate, keyframes, tuple(remarks)

@@ -152,9 +152,9 @@ class _Pass:
             return self._rank_batch(templates, *item)
 
         items = ((batch, mask, list(bars)) for mask, batch in self.batches)
-        for found, spent, own in in_threads(work, items, self.workers):
+        for found, spent, each in in_threads(work, items, self.workers):
             reading += spent
-            seconds += own
+            seconds += each
             for place, hits in enumerate(found):
                 best[place] = best[place].merged(hits, self.order, self.top)
                 if len(best[place]) == self.top:
