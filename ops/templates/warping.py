@@ -23,9 +23,6 @@ are equally cheap, and the sequence advances from which the path is seen.
 BLOCK, MARGIN = 4, 3
 """Accumulated costs are computed in blocks of `BLOCK` rows; the last row is `MARGIN` columns behind the first."""
 
-# float64 (N, f) for soft templates, uint64 (N, 2) for hard ones; only a method interprets them
-Columns = Array
-
 
 @dataclass(frozen=True)
 class Alignment:
@@ -225,7 +222,7 @@ class Weighted:
         The weight of each column.
     """
 
-    columns: Columns
+    columns: Array  # float64 (N, f) for soft templates, uint64 (N, 2) for hard ones; only a method interprets them
     weights: F64
 
 
@@ -243,7 +240,7 @@ class Stack:
         The first column of each template, and the number of all columns.
     """
 
-    columns: Columns
+    columns: Array
     weights: F64
     offsets: I64
 

@@ -140,10 +140,10 @@ def test_priors_pull_unless_silhouettes_contradict_them() -> None:
 
 
 def test_steps_on_silhouettes_end_where_the_squares_of_the_twin_are_least() -> None:
-    tracker = module._Frames(BODY, None, None, 30.0, None, Silhouettes(VIEWS, MASKS, CAPSULES), 5.0)
+    tracker = module._Frames(Observed(BODY, 30.0, None, None, Silhouettes(VIEWS, MASKS, CAPSULES)), None, 5.0)
     place, turns = motion().places[1].copy(), START.turns[0].copy()
     tracker._find(tracker.silhouettes.seen(1), place, turns)
-    sums = ContourSums(*(part.copy() for part in tracker.sums))
+    sums = ContourSums(CAPSULES, *(part.copy() for part in tracker.sums[1:]))
     tracker._solve(1, place, turns, 60, tracker.priors)
 
     def cost(vector: np.ndarray) -> float:
