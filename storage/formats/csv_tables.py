@@ -15,6 +15,7 @@ import csv
 import io
 import re
 from collections.abc import Iterable, Iterator
+from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -48,6 +49,14 @@ SEPARATORS = (",", ";", "\t")
 _QUOTED = re.compile(r'"(?:[^"]|"")*"?')
 _MARKS = ((codecs.BOM_UTF8, "utf-8-sig"), (codecs.BOM_UTF16_LE, "utf-16"), (codecs.BOM_UTF16_BE, "utf-16"))
 _DECIMAL_COMMA = re.compile(r"([+-]?[0-9]*),([0-9]+)")
+
+
+def csv_cells(line: str, separator: str, *, strict: bool = True) -> list[str]:
+    """Return the cells of a line; quotes count only if the line is CSV, and with `strict` only if it is well-formed."""
+    if '"' in line:
+        with suppress(csv.Error):
+            return next(csv.reader([line], delimiter=separator, strict=strict), [])
+    return line.split(separator)
 
 
 def decoded(path: str | Path, data: bytes) -> str:

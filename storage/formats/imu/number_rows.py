@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import csv
-import io
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
 from operator import itemgetter
@@ -13,7 +11,7 @@ import numpy as np
 import numpy.typing as npt
 
 from kinedex.ops.errors import SourceError
-from kinedex.storage.formats.csv_tables import decoded
+from kinedex.storage.formats.csv_tables import csv_cells, decoded
 from kinedex.storage.formats.source_files import file_size, source_bytes
 
 F64 = npt.NDArray[np.float64]
@@ -77,12 +75,7 @@ def separator_of(header: str) -> str:
 
 def cells_of(line: str, separator: str) -> list[str]:
     """Return the cells of a line, without blanks and quotes around them."""
-    if '"' in line:
-        try:
-            return [cell.strip() for cell in next(csv.reader(io.StringIO(line), delimiter=separator), [])]
-        except csv.Error:
-            pass
-    return [cell.strip() for cell in line.split(separator)]
+    return [cell.strip() for cell in csv_cells(line, separator, strict=False)]
 
 
 def number_rows(

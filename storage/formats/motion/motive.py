@@ -8,8 +8,9 @@ from pathlib import Path
 from typing import ClassVar
 
 from kinedex.ops.errors import SourceError
+from kinedex.storage.formats.csv_tables import csv_cells
 from kinedex.storage.formats.motion.points import Points
-from kinedex.storage.formats.motion.position_tables import PointTable, TableReader, cells_of, first_lines, parse_number
+from kinedex.storage.formats.motion.position_tables import PointTable, TableReader, first_lines, parse_number
 from kinedex.storage.formats.motion.reader import FASTEST_HZ, MOST_POINTS, SLOWEST_HZ, MotionFile, ReadSettings
 from kinedex.storage.formats.source_files import beginning
 
@@ -61,7 +62,7 @@ class MotiveReader(TableReader):
 
 def _table(path: Path) -> _Table:
     """Read the rows before the numbers: key, value pairs, then a row each for type, name and axis of the columns."""
-    rows = [[cell.strip() for cell in cells_of(line, ",")] for line in first_lines(path, _HEADER_LINES)]
+    rows = [[cell.strip() for cell in csv_cells(line, ",")] for line in first_lines(path, _HEADER_LINES)]
     if rows[0][:1] != ["Format Version"]:
         raise SourceError(path, "expected a CSV file of Motive, which begins with 'Format Version'", line=1)
     last = next((i for i, row in enumerate(rows) if row[0] == "Frame" and row[1:2] and row[1].startswith("Time")), None)

@@ -10,8 +10,9 @@ from pathlib import Path
 from typing import ClassVar
 
 from kinedex.ops.errors import SourceError
+from kinedex.storage.formats.csv_tables import csv_cells
 from kinedex.storage.formats.motion.points import Points
-from kinedex.storage.formats.motion.position_tables import PointTable, TableReader, cells_of, parse_number
+from kinedex.storage.formats.motion.position_tables import PointTable, TableReader, parse_number
 from kinedex.storage.formats.motion.reader import FASTEST_HZ, MOST_POINTS, SLOWEST_HZ, MotionFile, ReadSettings
 from kinedex.storage.formats.motion.text_blocks import after_last_line, blocks
 from kinedex.storage.formats.source_files import beginning, text_of
@@ -73,7 +74,7 @@ def _table(path: Path) -> _Table:
             line=1,
         )  # fmt: skip
     start, stop, head = found[used]
-    rows = [[cell.strip() for cell in cells_of(line, ",")] for line in head]
+    rows = [[cell.strip() for cell in csv_cells(line, ",")] for line in head]
     rate_hz = parse_number(path, rows[1][0] if len(rows) > 1 else "", "rate", start + 1)
     if not SLOWEST_HZ <= rate_hz <= FASTEST_HZ:
         raise SourceError(path, f"expected a rate of {SLOWEST_HZ:g} to {FASTEST_HZ:g} Hz, got {rate_hz:g}", line=start)

@@ -13,10 +13,11 @@ import numpy.typing as npt
 
 from kinedex.ops.body import multibody
 from kinedex.ops.errors import SourceError, did_you_mean
+from kinedex.storage.formats.csv_tables import csv_cells
 from kinedex.storage.formats.motion.body_models import model_digest
 from kinedex.storage.formats.motion.osim import LARGEST, Model, read_osim
 from kinedex.storage.formats.motion.points import Points, PointsReader
-from kinedex.storage.formats.motion.position_tables import Section, cells_of, first_lines
+from kinedex.storage.formats.motion.position_tables import Section, first_lines
 from kinedex.storage.formats.motion.reader import FASTEST_HZ, SLOWEST_HZ, MotionFile, ReadSettings
 from kinedex.storage.formats.motion.sources import shared_prefix
 from kinedex.storage.formats.source_files import beginning
@@ -139,7 +140,7 @@ def _layout(path: Path) -> _Layout:
     if at is None or at + 1 >= len(lines):
         raise SourceError(path, f"expected the header of an OpenSim motion, which ends with '{_END}'", line=1)
     separator = "," if "," in lines[at + 1] and "\t" not in lines[at + 1] else "\t"
-    found = cells_of(lines[at + 1], separator) if separator in lines[at + 1] else lines[at + 1].split()
+    found = csv_cells(lines[at + 1], separator) if separator in lines[at + 1] else lines[at + 1].split()
     columns = [cell.strip() for cell in found]
     while columns and not columns[-1]:
         columns.pop()

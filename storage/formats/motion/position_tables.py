@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import codecs
-import csv
 from abc import abstractmethod
 from collections.abc import Collection, Iterator, Sequence
 from dataclasses import dataclass
@@ -15,6 +14,7 @@ import numpy.typing as npt
 
 from kinedex.catalog.skeletons.mappings import Mappings
 from kinedex.ops.errors import SourceError
+from kinedex.storage.formats.csv_tables import csv_cells
 from kinedex.storage.formats.motion.points import PointsReader, bodies_of, labels_of_person
 from kinedex.storage.formats.motion.reader import MotionFile
 from kinedex.storage.formats.motion.text_blocks import BLOCK, LONGEST
@@ -159,7 +159,7 @@ class Table:
 
     def _row(self, line: str, number: int, header: Sequence[str]) -> F64:
         """Return the numbers of a line, NaN for empty cells."""
-        cells = cells_of(line, self.separator) if self.separator in line else line.split()
+        cells = csv_cells(line, self.separator) if self.separator in line else line.split()
         while len(cells) > len(header) and not cells[-1].strip():
             cells.pop()
         if len(cells) != len(header):
@@ -175,16 +175,6 @@ class Table:
             at = int(np.flatnonzero(np.isinf(row))[0])
             raise SourceError(self.path, f"column '{header[at]}': not a finite number: {cells[at]!r}", line=number)
         return row
-
-
-def cells_of(line: str, separator: str) -> list[str]:
-    """Split a line into cells; quotes count only if the line is well-formed CSV."""
-    if '"' not in line:
-        return line.split(separator)
-    try:
-        return next(csv.reader([line], delimiter=separator, strict=True), [])
-    except csv.Error:
-        return line.split(separator)
 
 
 def parse_number(path: Path, cell: str, column: str, line: int) -> float:
@@ -254,7 +244,7 @@ class Section(Table):
             if number < self._start or empty:
                 yield ""
             elif number > self.first and (self._texts or (self._missing and self._missing in line)):
-                cells = cells_of(line, self.separator)
+                cells = csv_cells(line, self.separator)
                 yield self.separator.join(
                     "" if i in self._texts or cell.strip() == self._missing else cell for i, cell in enumerate(cells)
                 )

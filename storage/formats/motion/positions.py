@@ -17,6 +17,7 @@ from kinedex.catalog.skeletons.mappings import Mappings
 from kinedex.catalog.skeletons.recognition.landmarks import load_landmarks
 from kinedex.catalog.skeletons.recognition.points import recognise_points
 from kinedex.ops.errors import SourceError, did_you_mean
+from kinedex.storage.formats.csv_tables import csv_cells
 from kinedex.storage.formats.motion.numpy_arrays import array_shapes, load_array, load_arrays
 from kinedex.storage.formats.motion.points import (
     Points,
@@ -25,7 +26,7 @@ from kinedex.storage.formats.motion.points import (
     evidence_of,
     points_of_person,
 )
-from kinedex.storage.formats.motion.position_tables import Lines, Table, cells_of, whole_points
+from kinedex.storage.formats.motion.position_tables import Lines, Table, whole_points
 from kinedex.storage.formats.motion.reader import (
     FASTEST_HZ,
     MOST_POINTS,
@@ -84,7 +85,7 @@ def is_positions_csv(path: Path) -> bool:
             header = file.readline(1 << 20)
     except OSError:
         return True
-    cells = [cell.strip() for cell in cells_of(any_text(header, "utf-8-sig"), ",")]
+    cells = [cell.strip() for cell in csv_cells(any_text(header, "utf-8-sig"), ",")]
     axes: dict[str, set[str]] = {}
     for found in filter(None, map(_AXIS.fullmatch, cells)):
         axes.setdefault(found[1], set()).add(found[2].lower())
@@ -122,7 +123,7 @@ def parse_csv(path: Path) -> Points:
     columns are ignored with a warning. An empty cell or `nan` is a gap.
     """
     table = Table(path, ",", 1)
-    header = [cell.strip() for cell in cells_of(table.head[0], ",")]
+    header = [cell.strip() for cell in csv_cells(table.head[0], ",")]
     columns: dict[str, dict[str, int]] = {}
     unused, seen = [], set[str]()
     for i, name in enumerate(header):
@@ -209,7 +210,7 @@ def trc_head(path: Path) -> TrcHead:
     axes = bool(rows) and re.search(r"(?i)\bX\d*\b", lines[rows[0]]) is not None
     first = rows[axes] if len(rows) > axes else len(lines)
     numbers = lines[first].rstrip(" \t,") if first < len(lines) else ""
-    return TrcHead(separator, values, labels, at + 1, first, len(cells_of(numbers, separator)))
+    return TrcHead(separator, values, labels, at + 1, first, len(csv_cells(numbers, separator)))
 
 
 def parse_trc(path: Path) -> Points:
