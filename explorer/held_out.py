@@ -166,6 +166,7 @@ def _judged(prepared: Prepared, edit: Edit, compete: bool, best: dict[str, float
 
 def _wanted(prepared: Prepared, edit: Edit, best: dict[str, float | None]) -> list[Row]:
     """Return the rows of the table without scores: a template at a threshold, None for a method without thresholds."""
+    pairs: list[tuple[str, str, float | None]]
     if not prepared.use.uses_thresholds:
         pairs = [("learned", "pipeline", None), *([("edited", "used", None)] if edit.template else [])]
     else:
