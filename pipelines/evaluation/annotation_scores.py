@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import math
 from collections import defaultdict
 from collections.abc import Sequence
@@ -16,6 +15,7 @@ from kinedex.ops.wording import digits
 from kinedex.pipelines.engine.display import ResultTable
 from kinedex.pipelines.evaluation.ground_truth import GroundTruth
 from kinedex.storage.disk import replace_file, write_errors
+from kinedex.storage.formats.json_text import json_text
 from kinedex.storage.snapshot.schemas import result_schema
 
 F_FRAMES, F_SEGMENTS = "F (frames)", "F (segments)"
@@ -118,7 +118,7 @@ def write_metrics(path: Path, evaluation: Evaluation, run: str, **about: object)
         rows = {row.name: scores(row.counts) for row in evaluation.rows if row.scope == scope}
         if rows:
             content[key] = rows
-    text = json.dumps(content, indent=1, ensure_ascii=False) + "\n"
+    text = json_text(content)
     with write_errors(path):
         replace_file(path, lambda unfinished: unfinished.write_text(text, encoding="utf-8"))
 

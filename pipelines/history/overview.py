@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
@@ -10,6 +9,7 @@ from typing import Any
 import pyarrow as pa
 
 from kinedex.ops.errors import KinedexError, did_you_mean
+from kinedex.storage.formats.json_text import setting_text
 from kinedex.storage.snapshot.manifest_files import read_version, versions
 from kinedex.storage.store.history import PipelineRun, StageRun
 
@@ -92,7 +92,7 @@ def _changed_parameters(run: PipelineRun, before: PipelineRun) -> Iterator[str]:
 
 
 def _short(value: Any) -> str:
-    text = value if isinstance(value, str) else json.dumps(value, ensure_ascii=False)
+    text = setting_text(value)
     return text if len(text) <= _MOST else f"{text[: _MOST - 1]}…"
 
 
@@ -180,7 +180,7 @@ def run_lines(run: PipelineRun, before: PipelineRun | None, results: str) -> Ite
         "problem": run.problem,
     }
     yield from (f"  {name:14} {value}" for name, value in facts.items() if value)
-    yield from _block("settings", (f"{name} = {_text(value)}" for name, value in run.settings.items()))
+    yield from _block("settings", (f"{name} = {setting_text(value)}" for name, value in run.settings.items()))
     yield from _block("sources", _source_lines(run))
     yield from _block("files that it kept", (f"{kept.path} (sha256 {kept.sha256[:12]})" for kept in run.files))
     yield from _block("skeleton mappings of the store", run.mappings)
@@ -213,10 +213,7 @@ def _stage_lines(stage: StageRun) -> Iterator[str]:
     if stage.finished:
         yield f"  run {stage.run}, {stage.finished}, {stage.seconds:g} s, fingerprint {stage.fingerprint}"
     yield from (
-        f"  {key} = {_text(value)}{'' if key in stage.given else '   (default)'}" for key, value in stage.params.items()
+        f"  {key} = {setting_text(value)}{'' if key in stage.given else '   (default)'}"
+        for key, value in stage.params.items()
     )
-    yield from (f"  → {key}: {_text(value)}" for key, value in stage.summary.items())
-
-
-def _text(value: Any) -> str:
-    return value if isinstance(value, str) else json.dumps(value, ensure_ascii=False)
+    yield from (f"  → {key}: {setting_text(value)}" for key, value in stage.summary.items())

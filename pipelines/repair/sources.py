@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import re
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, replace
@@ -18,6 +17,7 @@ from kinedex.pipelines.ingestion.file_batches import Batch, Task
 from kinedex.pipelines.ingestion.metadata import described_columns
 from kinedex.pipelines.ingestion.parameters import IngestParameters, chosen_mappings
 from kinedex.pipelines.recordings.runs import command_of_take
+from kinedex.storage.formats.json_text import json_text
 from kinedex.storage.formats.motion.sources import Scan, SourceFile, checksum, path_groups, scan
 from kinedex.storage.repair.quarantine import LostTake
 from kinedex.storage.snapshot.manifest import Manifest, StageRecord
@@ -53,7 +53,7 @@ def pipeline_text(records: dict[str, StageRecord], pipeline: str) -> str:
     }
     # JSON is valid YAML
     document = {"name": pipeline, "description": "the stages as the store records them", "stages": stages}
-    return json.dumps(document, indent=1, ensure_ascii=False) + "\n"
+    return json_text(document)
 
 
 def ingest_settings(manifest: Manifest, records: dict[str, StageRecord]) -> list[IngestParameters]:

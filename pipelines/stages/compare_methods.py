@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Sequence
 from typing import Any, ClassVar
 
@@ -23,11 +22,12 @@ from kinedex.pipelines.evaluation.ground_truth import ground_truth_digest
 from kinedex.pipelines.evaluation.scheme import ComparisonParameters
 from kinedex.pipelines.evaluation.study import Study, content, evaluation_rows
 from kinedex.pipelines.evaluation.tables import markdown, overview
+from kinedex.storage.formats.json_text import json_text
 from kinedex.storage.store.store import Store
 
 FILES = ("methods.html", "methods.md", "methods.json")
 
-PAGE = "kinedex.reports.study_page:study_page"
+PAGE = "kinedex.reports.methods_page:study_page"
 """The function that draws the page of the stage."""
 
 
@@ -105,7 +105,7 @@ def _store_metrics(context: StageContext, plan: Plan, study: Study | None) -> No
 def _write(context: StageContext, params: ComparisonParameters, study: Study) -> list[str]:
     """Write page, summary and JSON, and return their paths within the store, the page first."""
     page = drawn_by(PAGE)(context.open(), study, params.embed, context.stage, context.progress)
-    as_json = json.dumps(content(study), indent=1, ensure_ascii=False, allow_nan=False) + "\n"
+    as_json = json_text(content(study))
     files = []
     for name, text in zip(FILES, (page, markdown(study), as_json), strict=True):
         path = context.report_file(name)

@@ -16,6 +16,11 @@ def json_text(document: object) -> str:
     return json_escaped(json.dumps(json_value(document), indent=1, ensure_ascii=False, allow_nan=False)) + "\n"
 
 
+def setting_text(value: object) -> str:
+    """Return a value as `--set` reads it: a text unchanged, anything else as JSON, which is YAML."""
+    return value if isinstance(value, str) else json.dumps(value, ensure_ascii=False)
+
+
 def json_value(value: Any) -> Any:
     """Convert a value to one that JSON can represent.
 
