@@ -28,14 +28,12 @@ if TYPE_CHECKING:
     from kinedex.library.labels import Labels
     from kinedex.library.new_takes import features, read
     from kinedex.library.pages import write_page
-    from kinedex.library.picture import Picture
     from kinedex.library.pipeline import ingest, run_pipeline
     from kinedex.library.query import Query
-    from kinedex.library.reconstruction import Reconstructor, reconstruct
     from kinedex.library.store import Store, open_store
     from kinedex.library.take import Take
-    from kinedex.library.template import Difference, Template
-    from kinedex.library.tracking import stabilise, track
+    from kinedex.library.template import Difference, Picture, Template
+    from kinedex.library.tracking import Reconstructor, reconstruct, stabilise, track
     from kinedex.ops.errors import ConfigError, KinedexError, ParameterError, SourceError, StoreError
     from kinedex.pipelines.engine.runner import Outcome
 
@@ -82,9 +80,9 @@ _HOMES = {
     "Labels": "library.labels",
     "Outcome": "pipelines.engine.runner",
     "ParameterError": "ops.errors",
-    "Picture": "library.picture",
+    "Picture": "library.template",
     "Query": "library.query",
-    "Reconstructor": "library.reconstruction",
+    "Reconstructor": "library.tracking",
     "SourceError": "ops.errors",
     "Store": "library.store",
     "StoreError": "ops.errors",
@@ -97,7 +95,7 @@ _HOMES = {
     "load_feature_set": "catalog.features",
     "open_store": "library.store",
     "read": "library.new_takes",
-    "reconstruct": "library.reconstruction",
+    "reconstruct": "library.tracking",
     "run_pipeline": "library.pipeline",
     "stabilise": "library.tracking",
     "track": "library.tracking",

@@ -1,26 +1,40 @@
-"""The content of the annotation report, read from the results of a store."""
+"""The content of the annotation report, read from the results of a store, and the commands that make it again."""
 
 from __future__ import annotations
 
 import platform
+import shlex
 from collections.abc import Mapping, Sequence
 from datetime import datetime
 from importlib.metadata import PackageNotFoundError, version
+from pathlib import Path
 
 import numpy as np
 import polars as pl
 import pyarrow as pa
 
+from kinedex.catalog.configs import config_path, read_text
 from kinedex.catalog.features import FeatureSet
 from kinedex.ops.errors import KinedexError, did_you_mean
 from kinedex.ops.intervals import TakeSegment
+from kinedex.pipelines.engine.config import load_pipeline
+from kinedex.pipelines.engine.file_parameters import with_absolute_paths
 from kinedex.pipelines.templates.examples import interval_of
-from kinedex.reports.data import Curve, Failure, FeatureNames, HitCount, ReportData, Score, StageRow, TakeRow, Template
-from kinedex.reports.reproduction import command
-from kinedex.reports.take_groups import take_groups
-from kinedex.reports.take_selection import median_take
+from kinedex.reports.data import (
+    Curve,
+    Failure,
+    FeatureNames,
+    HitCount,
+    ReportData,
+    Score,
+    StageRow,
+    TakeRow,
+    Template,
+)
+from kinedex.reports.take_selection import median_take, take_groups
+from kinedex.storage.formats.json_text import setting_text
 from kinedex.storage.snapshot.manifest import StageRecord
-from kinedex.storage.store.history import SUMS
+from kinedex.storage.store.history import SUMS, PipelineRun, last_run
 from kinedex.storage.store.store import Store, data_frame
 
 PACKAGES = ("numpy", "numba", "pyarrow", "duckdb", "polars", "jinja2")
@@ -374,3 +388,63 @@ def _version(package: str) -> str:
         return version(package)
     except PackageNotFoundError:
         return "unknown"
+
+
+def command(pipeline: str, store_path: Path, records: Sequence[StageRow]) -> str:
+    """Return the shell commands that repeat the last run of a pipeline in a new store beside this one.
+
+    For a shipped pipeline it is `kinedex run` with every parameter that differs from the file, which does not need the
+    store. Otherwise the first command writes a pipeline file from the store's history, because the original file may be
+    gone, and the second one runs it.
+
+    Parameters
+    ----------
+    pipeline : str
+        Name of the pipeline.
+    store_path : Path
+        The directory of the store, absolute.
+    records : sequence of StageRow
+        The stages with their parameters.
+    """
+    again = store_path.with_name(f"{store_path.name}-again")
+    run = last_run(store_path, pipeline)
+    if run is None or _is_shipped(run):
+        return _shipped_command(pipeline, again, records)
+    file = f"{pipeline}-{run.run}.yaml"
+    export = ["kinedex", "history", "export", str(store_path), run.run, "-o", file]
+    return f"{shlex.join(export)}\n{shlex.join(['kinedex', 'run', file, '--store', str(again)])}"
+
+
+def _is_shipped(run: PipelineRun) -> bool:
+    """Return whether a run has used a shipped pipeline file and nothing that only its store has."""
+    if run.files or run.mappings or run.other_sources or run.labels:
+        return False
+    try:
+        return read_text(config_path("pipelines", run.pipeline)) == run.yaml
+    except KinedexError:
+        return False
+
+
+def _shipped_command(pipeline: str, store_path: Path, records: Sequence[StageRow]) -> str:
+    words = ["kinedex", "run", pipeline, "--store", str(store_path)]
+    recorded = {record.stage: record.params for record in records}
+    source = recorded.get("ingest", {}).get("source")
+    settings = {} if source is None else {"source": str(Path(str(source)).expanduser().absolute())}
+    try:
+        planned = load_pipeline(pipeline, settings)
+    except KinedexError:
+        return f"{shlex.join(words)}    # with the file of pipeline “{pipeline}” in place of its name"
+    for name, text in settings.items():
+        words += ["--set", f"{name}={text}"]
+    for stage in planned.stages:
+        own = with_absolute_paths(type(stage.params), stage.params.model_dump(mode="json"))
+        words += _differing(stage.name, own, with_absolute_paths(type(stage.params), recorded.get(stage.name, {})))
+    return shlex.join(words)
+
+
+def _differing(stage: str, own: Mapping[str, object], recorded: Mapping[str, object]) -> list[str]:
+    words = []
+    for key, value in recorded.items():
+        if own.get(key) != value:
+            words += ["--set", f"{stage}.{key}={setting_text(value)}"]
+    return words

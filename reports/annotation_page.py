@@ -2,12 +2,10 @@
 
 from __future__ import annotations
 
-import hashlib
 import json
 import re
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from importlib import resources
 
 from jinja2 import Environment
 from markupsafe import Markup
@@ -18,24 +16,27 @@ from kinedex.pipelines.evaluation.confusion import confusion
 from kinedex.pipelines.evaluation.folds import TestTake
 from kinedex.reports.archive_strip import archive_strip
 from kinedex.reports.cards import Card, card, readable, rules
-from kinedex.reports.curves import HEIGHT, CurveFigure, curve_figure, y_ticks
 from kinedex.reports.data import ReportData, Score
 from kinedex.reports.method_figures import ConfusionTable, confusion_table
 from kinedex.reports.motions import Motions, motions_json, script_json
 from kinedex.reports.overview import (
     BARS,
+    LOOKS,
+    SEGMENTS,
+    Key,
     class_findings,
     group_findings,
+    in_order,
     most_doubtful,
+    segment_list,
     surest,
     totals,
 )
 from kinedex.reports.page_environment import page_environment
 from kinedex.reports.palette import colour_rules, colour_slot
 from kinedex.reports.reliability import reliability_figure
-from kinedex.reports.segment_list import LOOKS, SEGMENTS, Key, in_order, segment_list
 from kinedex.reports.take_selection import Choice, choose_takes, findings_of
-from kinedex.reports.timelines import Timeline, overlap, timeline
+from kinedex.reports.timelines import HEIGHT, CurveFigure, Timeline, curve_figure, overlap, timeline, y_ticks
 
 DELTA_SHOWN = 0.05
 """The δ of the quantised view if the δ of the annotation is not stored."""
@@ -296,14 +297,6 @@ def gaps(data: ReportData) -> Gaps:
     if not searched or not manual:
         return Gaps((), ())
     return Gaps(tuple(sorted(manual - searched)), tuple(sorted(searched - manual)))
-
-
-def pages_digest() -> str:
-    """Return a hash of the files that a page is made from."""
-    hasher = hashlib.sha256()
-    for file in sorted(resources.files("kinedex.reports").joinpath("pages").iterdir(), key=lambda file: file.name):
-        hasher.update(file.name.encode() + b"\0" + file.read_bytes() + b"\0")
-    return hasher.hexdigest()[:16]
 
 
 def _environment() -> Environment:

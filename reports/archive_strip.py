@@ -6,13 +6,13 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 
+from kinedex.ops.arrays import F64, I64
 from kinedex.ops.intervals import TakeSegment
 from kinedex.ops.wording import counted
-from kinedex.reports.axes import percent
 from kinedex.reports.data import TakeRow
-from kinedex.reports.take_groups import by_group
+from kinedex.reports.plots import percent
+from kinedex.reports.take_selection import by_group
 
 BINS = 1000
 """Number of columns of the axis; it does not depend on the length of the archive, so that pages stay small."""
@@ -22,9 +22,6 @@ STEPS = 10
 
 MOST_NAMED = 2000
 """Maximum number of takes whose names the page shows at the pointer; with more takes, it has no names."""
-
-F64 = npt.NDArray[np.float64]
-I64 = npt.NDArray[np.int64]
 
 
 @dataclass(frozen=True)

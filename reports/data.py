@@ -6,9 +6,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from datetime import datetime
 
-import numpy as np
-import numpy.typing as npt
-
+from kinedex.ops.arrays import F64
 from kinedex.ops.intervals import TakeSegment, in_seconds
 
 
@@ -78,7 +76,7 @@ class Template:
     subclass: str
     label: str | None
     kind: str
-    values: npt.NDArray[np.float64]
+    values: F64
     clips: tuple[str, ...]
     rounds: int
     costs: tuple[float, ...] = ()
@@ -92,7 +90,7 @@ class Curve:
 
     label: str
     subclass: str
-    costs: npt.NDArray[np.float64]
+    costs: F64
     preselected: float = 1.0
 
 

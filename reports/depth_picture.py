@@ -5,14 +5,12 @@ from __future__ import annotations
 from pathlib import Path
 
 import numpy as np
-import numpy.typing as npt
 from PIL import Image, ImageDraw
 
+from kinedex.ops.arrays import U8
 from kinedex.pipelines.inspection.depth_frame import InspectedFrame
 from kinedex.reports.palette import CLASS_COLOURS
 from kinedex.storage.disk import whole_file
-
-U8 = npt.NDArray[np.uint8]
 
 LEAST_WIDTH = 640
 """Minimum width of a picture in pixels; smaller images are enlarged by a whole factor."""

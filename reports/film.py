@@ -8,16 +8,15 @@ from functools import cached_property
 from pathlib import Path
 
 import numpy as np
-import numpy.typing as npt
-from PIL import Image, ImageColor, ImageDraw, ImageFont
+from PIL import Image, ImageColor
 
+from kinedex.ops.arrays import F64, Bool
 from kinedex.ops.body.joint_tree import JOINT_PARENTS
 from kinedex.ops.errors import KinedexError
 from kinedex.ops.intervals import shown_seconds
 from kinedex.pipelines.inspection.stick_figures import LEFT, MIDDLE, RIGHT
+from kinedex.reports.stick_figures import FAINT, GROUND, TEXT, Pen
 from kinedex.storage.formats.motion.joint_motion import JointMotion
-
-F64 = npt.NDArray[np.float64]
 
 MOST_GIF_FRAMES = 1500
 """Frames of a GIF, a minute at its rate; the library holds all of them in memory."""
@@ -25,7 +24,6 @@ MOST_GIF_FRAMES = 1500
 _VIEWS = (("front", 0, 2, 1.0), ("side", 2, 0, -1.0))  # axes to the right and in depth, sign of the near side
 _WIDE, _HIGH, _HEAD, _FOOT = 320, 400, 44, 40  # pixels of a view, and of what lies above and below the figure
 _FINE = 2  # frames are drawn this many times larger and then reduced, so that lines are smooth
-_PAPER, _FLOOR, _TEXT, _FAINT = "#ffffff", "#9a8f80", "#222222", "#777777"
 _LEAST_HEIGHT_M, _TICK_M = 2.0, 0.5
 _GIF_HZ, _FASTEST_HZ, _USUAL_HZ = 25.0, 60.0, 30.0
 _STEADY_S = 1.0  # seconds over which the position of the view is averaged
@@ -99,7 +97,7 @@ def write_mp4(path: Path, motion: JointMotion) -> None:
 
 def _palette() -> Image.Image:
     """Return the colours of all lines and texts, in shades from the colour to that of the paper."""
-    colours = np.array([ImageColor.getrgb(colour) for colour in (LEFT, RIGHT, MIDDLE, _FLOOR, _TEXT, _FAINT)])
+    colours = np.array([ImageColor.getrgb(colour) for colour in (LEFT, RIGHT, MIDDLE, GROUND, TEXT, FAINT)])
     shades = colours[:, None] + (255.0 - colours[:, None]) * np.linspace(0.0, 1.0, _SHADES)[:, None]
     image = Image.new("P", (1, 1))
     image.putpalette(shades.round().astype(np.uint8).reshape(-1, 3).tobytes())
@@ -164,7 +162,7 @@ class _Film:
     @cached_property
     def centres(self) -> F64:
         """Return the places (T, 3) that the views follow: the middle of the body, steadied over a second."""
-        seen: npt.NDArray[np.bool_] = np.any(np.isfinite(self.places), axis=(1, 2))
+        seen: Bool = np.any(np.isfinite(self.places), axis=(1, 2))
         middle = (np.nanmin(self.places[seen], axis=1) + np.nanmax(self.places[seen], axis=1)) / 2
         frames = np.arange(len(seen))
         filled = np.stack([np.interp(frames, frames[seen], track) for track in middle.T], axis=1)
@@ -185,29 +183,28 @@ class _Film:
         ]
         for i, places in enumerate(self.places):
             image = ground.copy()
-            pen = ImageDraw.Draw(image)
+            pen = Pen(image, _FINE)
             for view, (_, across, away, sign) in enumerate(_VIEWS):
                 self._draw(pen, view, places, self.centres[i], bones, across, away, sign)
-            _write(pen, 12, _HIGH - 22, f"{shown_seconds(i, self.rate_hz)} s", 13, _TEXT)
+            pen.write(12, _HIGH - 22, f"{shown_seconds(i, self.rate_hz)} s", 13, TEXT)
             yield image.reduce(_FINE)
 
     def _ground(self) -> Image.Image:
         """Return the picture of all that is the same in every frame, before its size is reduced."""
-        image = Image.new("RGB", (self.size[0] * _FINE, self.size[1] * _FINE), _PAPER)
-        pen = ImageDraw.Draw(image)
-        _write(pen, 12, 8, self.motion.name[:60], 14, _TEXT)
+        pen = Pen.on_paper(*self.size, _FINE)
+        pen.write(12, 8, self.motion.name[:60], 14, TEXT)
         for i, (word, colour) in enumerate((("left", LEFT), ("right", RIGHT))):
             x = self.size[0] - 130 + 64 * i
-            pen.line([_fine(x, 17), _fine(x + 16, 17)], fill=colour, width=3 * _FINE)
-            _write(pen, x + 21, 9, word, 12, _TEXT)
+            pen.line(x, 17, x + 16, 17, colour, 3)
+            pen.write(x + 21, 9, word, 12, TEXT)
         for view, (name, *_) in enumerate(_VIEWS):
-            _write(pen, view * _WIDE + 12, 28, name, 12, _FAINT)
+            pen.write(view * _WIDE + 12, 28, name, 12, FAINT)
         y = _HIGH - _FOOT
-        pen.line([_fine(0, y), _fine(self.size[0], y)], fill=_FLOOR, width=_FINE)
-        return image
+        pen.line(0, y, self.size[0], y, GROUND)
+        return pen.image
 
     def _draw(
-        self, pen: ImageDraw.ImageDraw, view: int, places: F64, centre: F64,
+        self, pen: Pen, view: int, places: F64, centre: F64,
         bones: list[tuple[int, int, str]], across: int, away: int, sign: float,
     ) -> None:  # fmt: skip
         """Draw a view: marks of the floor every half metre, and the bones, the nearest last."""
@@ -216,22 +213,12 @@ class _Film:
         first = int(np.ceil((centre[across] - reach) / _TICK_M))
         for tick in range(first, int(np.floor((centre[across] + reach) / _TICK_M)) + 1):
             x = middle + (tick * _TICK_M - centre[across]) * self.scale
-            pen.line([_fine(x, _HIGH - _FOOT), _fine(x, _HIGH - _FOOT + 5)], fill=_FLOOR, width=_FINE)
+            pen.line(x, _HIGH - _FOOT, x, _HIGH - _FOOT + 5, GROUND)
         x = middle + (places[:, across] - centre[across]) * self.scale
         y = _HIGH - _FOOT - (places[:, 1] - self.floor) * self.scale
         seen = np.isfinite(x) & np.isfinite(y)
         shown = [bone for bone in bones if seen[bone[0]] and seen[bone[1]]]
         for a, b, colour in sorted(shown, key=lambda bone: sign * float(places[bone[0], away] + places[bone[1], away])):
-            pen.line([_fine(x[a], y[a]), _fine(x[b], y[b])], fill=colour, width=4 * _FINE)
+            pen.line(x[a], y[a], x[b], y[b], colour, 4)
             for joint in (a, b):
-                (u, v), r = _fine(x[joint], y[joint]), 2.4 * _FINE
-                pen.ellipse([u - r, v - r, u + r, v + r], fill=colour)
-
-
-def _fine(x: float, y: float) -> tuple[float, float]:
-    return float(x) * _FINE, float(y) * _FINE
-
-
-def _write(pen: ImageDraw.ImageDraw, x: float, y: float, text: str, size: int, colour: str) -> None:
-    """Write a line in Pillow's own font, which is the same on all systems."""
-    pen.text(_fine(x, y), text, font=ImageFont.load_default(size * _FINE), fill=colour)
+                pen.dot(x[joint], y[joint], 2.4, colour)

@@ -6,21 +6,18 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 
 from kinedex.catalog.features import FeatureSet
 from kinedex.catalog.queries.keyframe_query import SAME_FRAME
+from kinedex.ops.arrays import F64
 from kinedex.ops.evaluation.reliability import wilson
 from kinedex.ops.intervals import in_seconds
 from kinedex.ops.keyframes.training_task import HISTORY_COLUMNS, Individual, LearningRun
 from kinedex.ops.words import bits
 from kinedex.pipelines.keyframes.learning import Learner, Outcome, every_query, keyframe_queries
 from kinedex.pipelines.keyframes.stored_queries import sentence
-from kinedex.reports.axes import time_axis
 from kinedex.reports.page_environment import page_environment
-from kinedex.reports.plots import HistogramBar, histogram, line_path, share_ticks
-
-F64 = npt.NDArray[np.float64]
+from kinedex.reports.plots import HistogramBar, histogram, line_path, share_ticks, time_axis
 
 WIDTH, HEIGHT = 640, 200
 BINS = 10

@@ -4,22 +4,22 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
+from kinedex.ops.arrays import F64
 from kinedex.ops.wording import counted
 from kinedex.pipelines.inertial.worn_sensors import WornTakes, stored_clocks
-from kinedex.reports.axes import Axis, time_axis
 from kinedex.reports.limb_error_data import (
+    MOST_BYTES,
     LimbErrors,
     MarkedRun,
-    Refusal,
     StageKeys,
     StoredErrors,
     TakeErrors,
+    packed_triads,
     refusals,
 )
 from kinedex.reports.limb_error_figures import (
@@ -34,14 +34,12 @@ from kinedex.reports.limb_error_figures import (
     curve_path,
     drift_curve,
     error_top,
+    mapping_curves,
 )
-from kinedex.reports.limb_triads import MOST_BYTES, packed_triads
-from kinedex.reports.mapping_demonstration import MappingCurve, mapping_curves
 from kinedex.reports.motions import Motions, embed, script_json
 from kinedex.reports.page_environment import page_environment
+from kinedex.reports.plots import Axis, time_axis
 from kinedex.storage.store.store import Store
-
-F64 = npt.NDArray[np.float64]
 
 
 @dataclass(frozen=True)
@@ -76,17 +74,12 @@ class AgreementCard:
 
 @dataclass(frozen=True)
 class ShownLimb:
-    """A limb of a take on the page; `automatic` and `manual` are boxes of its timeline."""
+    """A limb of a take on the page: the path of its errors, the boxes of its timeline, and figures in degrees."""
 
-    limb: str
-    basis: str
-    tau: float
+    errors: LimbErrors
     path: str
     automatic: tuple[Box, ...]
     manual: Mapping[str, tuple[Box, ...]]
-    frames: int
-    runs: int
-    wrong: float
     median: float
     p95: float
     largest: float
@@ -95,71 +88,18 @@ class ShownLimb:
 
 
 @dataclass(frozen=True)
-class ShownMount:
-    """A row of `sensor_calibration` with the curve of its heading's drift."""
-
-    row: Mapping[str, Any]
-    drift: DriftCurve | None
-
-
-@dataclass(frozen=True)
 class ShownTake:
-    """A take on the page; `playable` is true where its motion is embedded."""
+    """A take on the page.
 
-    take: str
-    frames: int
-    seconds: float
-    wrong: float
-    worst: LimbErrors | None
-    limbs: tuple[LimbErrors, ...]
-    shown: tuple[ShownLimb, ...]
-    clocks: tuple[Mapping[str, Any], ...]
-    mounts: tuple[ShownMount, ...]
-    axis: Axis
-    playable: bool
-
-
-@dataclass(frozen=True)
-class PageContent:
-    """The content of the page.
-
-    Attributes
-    ----------
-    title : str
-        The title.
-    total : int
-        Takes that were compared; those in `takes` may be fewer.
-    takes : sequence of TakeErrors
-        The takes of the page, in their order.
-    rate_hz : float
-        Analysis frames per second.
-    tau : float or None
-        The τ of all takes; None where they differ.
-    motions : Motions
-        The motions of the takes.
-    triads : list of dict
-        Packed axes of limbs for the player.
-    without_axes : int
-        Number of takes whose axes were omitted, because the page would become too large.
-    agreement : sequence of AgreementCard
-        The agreement with annotators.
-    left_out : sequence of Refusal
-        The takes, recordings and sensors that were excluded.
-    mappings : sequence of MappingCurve
-        The demonstration of the thesis's Figure 7.14; empty where the page does not have it.
+    `mounts` are rows of `sensor_calibration`, each with the curve of its heading's drift; `playable` is true where the
+    motion is embedded.
     """
 
-    title: str
-    total: int
-    takes: Sequence[TakeErrors]
-    rate_hz: float
-    tau: float | None
-    motions: Motions
-    triads: Sequence[Mapping[str, Any]] = ()
-    without_axes: int = 0
-    agreement: Sequence[AgreementCard] = ()
-    left_out: Sequence[Refusal] = field(default=())
-    mappings: Sequence[MappingCurve] = ()
+    errors: TakeErrors
+    shown: tuple[ShownLimb, ...]
+    mounts: tuple[tuple[Mapping[str, Any], DriftCurve | None], ...]
+    axis: Axis
+    playable: bool
 
 
 SIMULATED = "simulated"
@@ -187,14 +127,25 @@ def limb_errors_page(store: Store, keys: StageKeys, title: str, most: int, *, de
     order = sorted(wrong, key=lambda take_id: (-wrong[take_id], take_id))[:most]
     takes = [stored.take(take_id) for take_id in order]
     taus = sorted({stored.tau_of(take_id) for take_id in stored.take_ids})
+    tau = taus[0] if len(taus) == 1 else None
     triads, without = _triads(store, keys, takes)
-    return rendered(
-        PageContent(
-            title, len(wrong), takes, store.rate_hz, taus[0] if len(taus) == 1 else None,
-            embed(store, [take.take for take in takes], "auto", "report_limb_errors"), triads, without,
-            agreement_cards(stored.metrics, float(np.median(taus)) if taus else 45.0),
-            refusals(stored.clocks, stored.calibrations, stored.log),
-            mapping_curves() if demonstration else (),
+    motions = embed(store, [take.take for take in takes], "auto", "report_limb_errors")
+    agreement = agreement_cards(stored.metrics, float(np.median(taus)) if taus else 45.0)
+    limbs = [limb for take in takes for limb in take.limbs]
+    largest = max((float(limb.known.max()) for limb in limbs if len(limb.known)), default=0.0)
+    top = error_top(largest, max((limb.tau_deg for limb in limbs), default=45.0))
+    return (
+        page_environment({"counted": counted})
+        .get_template("limb_errors.html.j2")
+        .render(
+            title=title, total=len(wrong), tau=tau, top=top, bins=BINS, scripts=True,
+            takes=[_shown(take, motions, store.rate_hz, top) for take in takes],
+            refusals=refusals(stored.clocks, stored.calibrations, stored.log),
+            agreement=agreement, printed=any(card.at.get("printed_source") for card in agreement),
+            simulated=any(SIMULATED in card.against for card in agreement),
+            runs=any(card.at["detector"] == RUNS for card in agreement),
+            width=CHART_WIDTH, height=CHART_HEIGHT, mappings=mapping_curves() if demonstration else (),
+            motions=motions, motions_json=script_json({**asdict(motions), "triads": triads}), without_axes=without,
         )
     )  # fmt: skip
 
@@ -275,55 +226,26 @@ def _number(value: float | None) -> float:
     return math.nan if value is None else float(value)
 
 
-def rendered(content: PageContent) -> str:
-    """Return the HTML of the page."""
-    limbs = [limb for take in content.takes for limb in take.limbs]
-    largest = max((float(limb.known.max()) for limb in limbs if len(limb.known)), default=0.0)
-    top = error_top(largest, max((limb.tau_deg for limb in limbs), default=45.0))
-    motions = {**asdict(content.motions), "triads": list(content.triads)}
-    return (
-        page_environment({"counted": counted})
-        .get_template("limb_errors.html.j2")
-        .render(
-            title=content.title, total=content.total, tau=content.tau, top=top, bins=BINS, scripts=True,
-            takes=[_shown(take, content, top) for take in content.takes], refusals=content.left_out,
-            agreement=content.agreement, printed=any(card.at.get("printed_source") for card in content.agreement),
-            simulated=any(SIMULATED in card.against for card in content.agreement),
-            runs=any(card.at["detector"] == RUNS for card in content.agreement),
-            width=CHART_WIDTH, height=CHART_HEIGHT, mappings=content.mappings,
-            motions=content.motions, motions_json=script_json(motions), without_axes=content.without_axes,
-        )
-    )  # fmt: skip
-
-
-def _shown(take: TakeErrors, content: PageContent, top: float) -> ShownTake:
-    return ShownTake(
-        take.take, take.frames, take.seconds, take.wrong, take.worst, take.limbs,
-        tuple(_limb(limb, take, content.rate_hz, top) for limb in take.limbs),
-        take.clocks,
-        tuple(ShownMount(row, _drift(row, take.seconds)) for row in take.calibrations),
-        time_axis(max(take.seconds, 1e-6)), content.motions.has(take.take, 0, take.frames),
-    )  # fmt: skip
-
-
-def _drift(row: Mapping[str, Any], seconds: float) -> DriftCurve | None:
-    return drift_curve([(one["t"], one["degrees"]) for one in row["drift"] or ()], max(seconds, 1e-6))
-
-
-def _limb(limb: LimbErrors, take: TakeErrors, rate_hz: float, top: float) -> ShownLimb:
-    known = limb.known
-    figures = (float(np.median(known)), float(np.percentile(known, 95)), float(known.max())) if len(known) else _NAN
-    return ShownLimb(
-        limb.limb, limb.basis, limb.tau_deg,
-        curve_path(limb.times, limb.degrees, max(take.seconds, 1e-6), top),
-        _boxes(limb.automatic, take.frames, rate_hz),
-        {who: _boxes(own, take.frames, rate_hz) for who, own in limb.manual.items()},
-        len(known), sum(not one.jump for one in limb.automatic), limb.wrong, *figures,
-        _median(limb.swing), _median(limb.twist),
-    )  # fmt: skip
-
-
-_NAN = (math.nan, math.nan, math.nan)
+def _shown(take: TakeErrors, motions: Motions, rate_hz: float, top: float) -> ShownTake:
+    seconds = max(take.seconds, 1e-6)
+    mounts = tuple(
+        (row, drift_curve([(one["t"], one["degrees"]) for one in row["drift"] or ()], seconds))
+        for row in take.calibrations
+    )
+    limbs = []
+    for limb in take.limbs:
+        known = limb.known
+        nan = (math.nan, math.nan, math.nan)
+        figures = (float(np.median(known)), float(np.percentile(known, 95)), float(known.max())) if len(known) else nan
+        limbs.append(
+            ShownLimb(
+                limb, curve_path(limb.times, limb.degrees, seconds, top),
+                _boxes(limb.automatic, take.frames, rate_hz),
+                {who: _boxes(own, take.frames, rate_hz) for who, own in limb.manual.items()},
+                *figures, _median(limb.swing), _median(limb.twist),
+            )
+        )  # fmt: skip
+    return ShownTake(take, tuple(limbs), mounts, time_axis(seconds), motions.has(take.take, 0, take.frames))
 
 
 def _median(values: F64) -> float:

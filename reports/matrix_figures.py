@@ -1,4 +1,4 @@
-"""Figures of matrices of features over time with named rows, as SVG or PNG."""
+"""Figures of templates as matrices of features over time with named rows, one or two side by side, as SVG or PNG."""
 
 from __future__ import annotations
 
@@ -7,18 +7,18 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from html import escape
 from pathlib import Path
-from typing import Protocol
 
 import numpy as np
-import numpy.typing as npt
 from PIL import Image, ImageDraw, ImageFont
 
+from kinedex.catalog.features import FeatureSet
+from kinedex.ops.arrays import F64, U8
 from kinedex.ops.errors import KinedexError
 from kinedex.ops.intervals import in_seconds
-from kinedex.reports.axes import time_axis
-from kinedex.reports.pixels import Colour
-
-U8 = npt.NDArray[np.uint8]
+from kinedex.ops.templates.derived_templates import Contrast, consistency
+from kinedex.ops.templates.templates import QuantisedTemplate, Template, quantise
+from kinedex.reports.pixels import BLACK, TOLERANCE, VARYING, WHITE, WILDCARD, Colour, ramp
+from kinedex.reports.plots import time_axis
 
 ENDINGS = (".svg", ".png")
 
@@ -71,22 +71,6 @@ class MatrixFigure:
     rate_hz: float
 
 
-class Canvas(Protocol):
-    """A canvas for rectangles and texts; lengths are in SVG units."""
-
-    def rectangle(self, x: float, y: float, width: float, height: float, colour: Colour) -> None:
-        """Fill a rectangle."""
-        ...
-
-    def text(self, x: float, y: float, text: str, size: int, colour: Colour, anchor: str = "start") -> None:
-        """Write a line of text with its base line at y; `anchor` is the part of it at x: start, middle or end."""
-        ...
-
-    def content(self) -> bytes:
-        """Return the content of the file."""
-        ...
-
-
 def write_figure(figure: MatrixFigure, path: Path) -> None:
     """Write a figure in the format of the extension of its path, .svg or .png.
 
@@ -109,7 +93,7 @@ def draw(figure: MatrixFigure, form: str) -> bytes:
     inner = cell * sum(columns) + _GAP * (len(columns) - 1)
     width = max(2 * _EDGE + _NAMES + inner + _NOTES, 2 * _EDGE + 7.2 * len(figure.note))
     height = _HEAD + _ROW * len(figure.rows) + _FOOT
-    canvas: Canvas = Svg(width, height, figure.title) if form == "svg" else Png(width, height)
+    canvas: Svg | Png = Svg(width, height, figure.title) if form == "svg" else Png(width, height)
     canvas.text(_EDGE, 28, figure.title, 18, _TEXT)
     canvas.text(_EDGE, 48, figure.note, 12, _FAINT)
     _legend(canvas, figure)
@@ -124,7 +108,7 @@ def draw(figure: MatrixFigure, form: str) -> bytes:
     return canvas.content()
 
 
-def _legend(canvas: Canvas, figure: MatrixFigure) -> None:
+def _legend(canvas: Svg | Png, figure: MatrixFigure) -> None:
     at: float = _EDGE
     for colour, words in figure.legend:
         canvas.rectangle(at - 1, 57, 12, 12, _FRAME)
@@ -133,7 +117,7 @@ def _legend(canvas: Canvas, figure: MatrixFigure) -> None:
         at += 34 + 6.1 * len(words)
 
 
-def _panel(canvas: Canvas, figure: MatrixFigure, panel: Panel, left: float, cell: float) -> None:
+def _panel(canvas: Svg | Png, figure: MatrixFigure, panel: Panel, left: float, cell: float) -> None:
     rows, columns, _ = panel.colours.shape
     width = cell * columns
     canvas.text(left, _HEAD - 8, panel.caption, 11, _FAINT)
@@ -156,7 +140,7 @@ def _panel(canvas: Canvas, figure: MatrixFigure, panel: Panel, left: float, cell
 
 
 class Svg:
-    """A canvas whose content is SVG."""
+    """A canvas whose content is SVG; lengths are in SVG units."""
 
     def __init__(self, width: float, height: float, title: str) -> None:
         size = f'width="{width:.0f}" height="{height:.0f}" viewBox="0 0 {width:.0f} {height:.0f}"'
@@ -175,7 +159,7 @@ class Svg:
         )
 
     def text(self, x: float, y: float, text: str, size: int, colour: Colour, anchor: str = "start") -> None:
-        """Write a line."""
+        """Write a line of text with its base line at y; `anchor` is the part of it at x: start, middle or end."""
         place = f'x="{x:.6g}" y="{y:.6g}" font-size="{size}" fill="{_hex(colour)}"'
         end = "" if anchor == "start" else f' text-anchor="{anchor}"'
         self._texts.append(f"<text {place}{end}>{escape(text)}</text>")
@@ -199,7 +183,7 @@ class Png:
         self._pen.rectangle([*corner, max(right, corner[0]), max(bottom, corner[1])], fill=colour)
 
     def text(self, x: float, y: float, text: str, size: int, colour: Colour, anchor: str = "start") -> None:
-        """Write a line."""
+        """Write a line of text, as `Svg.text` does."""
         at = {"start": "ls", "middle": "ms", "end": "rs"}[anchor]
         font = ImageFont.load_default(size * _FINE)
         self._pen.text((x * _FINE, y * _FINE), text, font=font, fill=colour, anchor=at)
@@ -213,3 +197,116 @@ class Png:
 
 def _hex(colour: Colour) -> str:
     return "#" + "".join(f"{channel:02x}" for channel in colour)
+
+
+FIRST_ON: Colour = (200, 80, 10)
+SECOND_ON: Colour = (0, 114, 178)
+NOT_COMPARED: Colour = (235, 235, 235)
+AGREED: Colour = (205, 205, 205)
+
+
+def template_figure(
+    template: Template, title: str, note: str, delta: float, features: FeatureSet, rate_hz: float
+) -> MatrixFigure:
+    """Lay out a template, its quantised form at δ, and the consistency of each feature."""
+    quantised = quantise(template, delta)
+    agreement = consistency(template)
+    return MatrixFigure(
+        title=title,
+        note=note,
+        rows=row_names(features),
+        panels=(
+            Panel("average of the aligned clips", soft_colours(template.values)),
+            Panel(f"quantised: within {delta:g} of off or on", quantised_colours(quantised, len(features.features))),
+        ),
+        notes_head="consistency",
+        notes=[
+            f"{share:.0%}" + ("  (no weight)" if silent else "")
+            for share, silent in zip(agreement, _silent(template), strict=True)
+        ],
+        rules=set_rules(features),
+        legend=(
+            (BLACK, "off in every clip"),
+            (WHITE, "on in every clip"),
+            (VARYING[0], "mostly off"),
+            (VARYING[2], "half and half"),
+            (VARYING[-1], "mostly on"),
+            (WILDCARD, "wildcard: anything fits"),
+        ),
+        rate_hz=rate_hz,
+    )
+
+
+def contrast_figure(
+    first: Template,
+    second: Template,
+    names: tuple[str, str],
+    found: Contrast,
+    delta: float,
+    note: str,
+    features: FeatureSet,
+    rate_hz: float,
+) -> MatrixFigure:
+    """Lay out two aligned templates, and the entries that contradict each other at δ."""
+    count = len(features.features)
+    one, other = (quantised_colours(quantise(template, delta), count) for template in (first, second))
+    against = np.full((count, len(found.path), 3), AGREED, np.uint8)
+    against[~found.compared.T] = NOT_COMPARED
+    against[found.against.T > 0] = FIRST_ON
+    against[found.against.T < 0] = SECOND_ON
+    many = np.abs(found.against).sum(axis=0)
+    return MatrixFigure(
+        title=f"{names[0]} and {names[1]}",
+        note=note,
+        rows=row_names(features),
+        panels=(
+            Panel(names[0], one[:, found.path[:, 0]]),
+            Panel(names[1], other[:, found.path[:, 1]]),
+            Panel("contradictions", against),
+        ),
+        notes_head="columns against",
+        notes=[str(columns) if columns else "" for columns in many.tolist()],
+        rules=set_rules(features),
+        legend=(
+            (BLACK, "off"),
+            (WHITE, "on"),
+            (WILDCARD, "wildcard"),
+            (FIRST_ON, f"on in {names[0]} only"),
+            (SECOND_ON, f"on in {names[1]} only"),
+            (AGREED, "alike"),
+            (NOT_COMPARED, "a wildcard in one of them"),
+        ),
+        rate_hz=rate_hz,
+    )
+
+
+def row_names(features: FeatureSet) -> list[str]:
+    """Return a name for the row of each feature: the feature's name and number."""
+    return [f"{feature.name} {feature.number}" for feature in features.features]
+
+
+def set_rules(features: FeatureSet) -> list[int]:
+    """Return the first row of each set of features but the first."""
+    return [word_set.first - 1 for word_set in features.sets.values() if word_set.first > 1]
+
+
+def soft_colours(values: F64) -> U8:
+    """Return the colours of a template, uint8 (features, columns, 3): 0 is black, 1 is white, a ramp between."""
+    palette = np.array([ramp(i / 255) for i in range(256)], np.uint8)
+    colours = palette[np.clip(np.round(values * 255), 0, 255).astype(np.int64)]
+    colours[values <= TOLERANCE] = BLACK
+    colours[values >= 1 - TOLERANCE] = WHITE
+    turned: U8 = np.ascontiguousarray(colours.transpose(1, 0, 2))
+    return turned
+
+
+def quantised_colours(template: QuantisedTemplate, features: int) -> U8:
+    """Return the colours of a quantised template, uint8 (features, columns, 3): off is black, on white, * grey blue."""
+    palette = np.array([BLACK, WILDCARD, WHITE], np.uint8)
+    turned: U8 = np.ascontiguousarray(palette[(2 * template.values(features)).astype(np.int64)].transpose(1, 0, 2))
+    return turned
+
+
+def _silent(template: Template) -> list[bool]:
+    weights = template.feature_weights
+    return [False] * template.values.shape[1] if weights is None else (weights == 0).tolist()

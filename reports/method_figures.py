@@ -7,16 +7,15 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 
+from kinedex.ops.arrays import I64
 from kinedex.ops.evaluation.metrics import Counts
 from kinedex.ops.intervals import TakeSegment, in_seconds, shown_seconds
 from kinedex.pipelines.evaluation.confusion import Confusion
 from kinedex.pipelines.evaluation.folds import TestTake
 from kinedex.pipelines.evaluation.method_scores import Outcome
 from kinedex.pipelines.evaluation.study import Threshold
-from kinedex.reports.axes import Axis, percent, time_axis
-from kinedex.reports.plots import HistogramBar, histogram, line_path
+from kinedex.reports.plots import Axis, HistogramBar, histogram, line_path, percent, time_axis
 
 WIDTH, HEIGHT = 320.0, 150.0
 """Size of a small plot in SVG units."""
@@ -273,7 +272,7 @@ def confusion_table(confusion: Confusion, numbers: Mapping[str, int]) -> Confusi
     return ConfusionTable(tuple(heads), tuple(rows))
 
 
-def boundary_errors(frames: npt.NDArray[np.int64], rate_hz: float) -> list[HistogramBar]:
+def boundary_errors(frames: I64, rate_hz: float) -> list[HistogramBar]:
     """Lay out a histogram of boundary errors in seconds; the outermost bars count everything beyond the ends too."""
     seconds = np.clip(in_seconds(frames, rate_hz), -FURTHEST, FURTHEST)
     return histogram(seconds, -FURTHEST, FURTHEST, BINS, (WIDTH, HEIGHT), 1)

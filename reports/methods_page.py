@@ -1,16 +1,18 @@
-"""The page that compares methods of annotation."""
+"""The pages that compare methods of annotation, and two evaluations."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
 from jinja2 import Environment
 
 from kinedex.ops.evaluation.detection import THRESHOLDS
 from kinedex.ops.wording import digits
-from kinedex.pipelines.evaluation.study import SplitResult, Study, boundary_summary, take_title
+from kinedex.pipelines.engine.display import Progress
+from kinedex.pipelines.evaluation.differences import HEADER, VERDICTS, Comparison, remarks, settings, signed
+from kinedex.pipelines.evaluation.study import SplitResult, Study, boundary_summary, shown_parts, take_title
 from kinedex.pipelines.evaluation.tables import (
     MEASURE_NAMES,
     between,
@@ -23,6 +25,7 @@ from kinedex.pipelines.evaluation.tables import (
     six,
 )
 from kinedex.pipelines.templates.stored_clips import Key
+from kinedex.reports.example_motions import with_study
 from kinedex.reports.method_figures import (
     HEIGHT,
     ROOMS,
@@ -36,10 +39,11 @@ from kinedex.reports.method_figures import (
     strips,
     sweeps,
 )
-from kinedex.reports.motions import Motions, motions_json
+from kinedex.reports.motions import Embed, Motions, embed, motions_json
 from kinedex.reports.page_environment import page_environment
 from kinedex.reports.palette import colour_rules, colour_slot
 from kinedex.reports.plots import HistogramBar
+from kinedex.storage.store.store import Store
 
 MOST_ROWS = 300
 """Largest number of rows of a list of takes or segments; the page states how many more there are."""
@@ -159,3 +163,34 @@ def _environment() -> Environment:
         "sortable": lambda value: "" if value is None or math.isnan(value) else value,
     }
     return page_environment(filters)
+
+
+def study_page(store: Store, study: Study, embedded: Embed, stage: str, progress: Progress) -> str:
+    """Return the page of a comparison, with the motions of the takes on it and their nearest examples.
+
+    Parameters
+    ----------
+    store : Store
+        The store of the takes and the clips.
+    study : Study
+        The comparison.
+    embedded : str or sequence of str
+        The takes whose motion the page carries: "auto", "all", "none", or names.
+    stage : str
+        The name of the stage, for remarks.
+    progress : callable
+        Makes a progress bar of a description and a number of steps.
+    """
+    named = dict(store.takes().select("take_id", "name").iter_rows())
+    shown = {title: [named[part] for part in parts] for title, parts in shown_parts(study).items()}
+    motions = embed(store, shown, embedded, stage, progress)
+    motions, near = with_study(store, study, motions, progress)
+    return methods_page(study, motions, near)
+
+
+def comparison_page(comparisons: Sequence[Comparison]) -> str:
+    """Return comparisons as one self-contained HTML page."""
+    environment = page_environment({"digits": digits, "signed": signed, "remarks": remarks, "settings": settings})
+    return environment.get_template("compared.html.j2").render(
+        comparisons=comparisons, verdicts=VERDICTS, header=HEADER
+    )

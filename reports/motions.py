@@ -14,6 +14,7 @@ import numpy as np
 import numpy.typing as npt
 from markupsafe import Markup
 
+from kinedex.ops.arrays import I64
 from kinedex.ops.body.joint_tree import JOINT_PARENTS
 from kinedex.ops.errors import KinedexError, did_you_mean
 from kinedex.ops.wording import few
@@ -100,6 +101,12 @@ class Motions:
     remark: str
     near: tuple[tuple[int, tuple[int, ...]], ...] = ()
 
+    @classmethod
+    def none(cls, store: Store) -> Motions:
+        """Return no motions, of the joints of a store that the player draws."""
+        joints = tuple(joint for joint in store.feature_set.joints if joint in JOINT_PARENTS)
+        return cls((), joints, parents_of(joints), "")
+
     def has(self, take: str, start: int, stop: int) -> bool:
         """Return whether an interval of a take can be played."""
         return self._find(take, start, stop) is not None
@@ -150,7 +157,7 @@ class Motions:
             found.append(packed[one])
         return replace(self, motions=tuple(found))
 
-    def with_near(self, store: Store, examples: Iterable[tuple[str, int, int, npt.NDArray[np.int64]]]) -> Motions:
+    def with_near(self, store: Store, examples: Iterable[tuple[str, int, int, I64]]) -> Motions:
         """Return the motions with nearest examples, each as take, start, stop and frames relative to the start."""
         examples = list(examples)
         found = self.with_pieces(store, (one[:3] for one in examples), margin=0)
@@ -208,18 +215,23 @@ def embed(
                 f"embed: no take with a timeline is named '{unknown[0]}'{did_you_mean(unknown[0], takes)}"
             )
     chosen = [] if wanted == "none" else list(wanted) if isinstance(wanted, list) else list(takes)
-    joints = tuple(joint for joint in store.feature_set.joints if joint in JOINT_PARENTS)
-    parents = tuple(joints.index(parent) if (parent := JOINT_PARENTS[joint]) in joints else -1 for joint in joints)
+    none = Motions.none(store)
     packed: list[Motion] = []
     size = 0
     with progress("motions", len(chosen)) as bar:
-        for motion in _whole(store, joints, {name: parts[name] for name in chosen}):
+        for motion in _whole(store, none.joints, {name: parts[name] for name in chosen}):
             if wanted == "auto" and size + len(motion.data) > MOST_BYTES:
                 break
             packed.append(motion)
             size += len(motion.data)
             bar.advance()
-    return Motions(tuple(packed), joints, parents, _remark(packed, len(takes), wanted, size, f"{stage}.embed"))
+    remark = _remark(packed, len(takes), wanted, size, f"{stage}.embed")
+    return replace(none, motions=tuple(packed), remark=remark)
+
+
+def parents_of(joints: Sequence[str]) -> tuple[int, ...]:
+    """Return the index of the parent of each joint, -1 where there is none among them."""
+    return tuple(joints.index(parent) if (parent := JOINT_PARENTS[joint]) in joints else -1 for joint in joints)
 
 
 def _whole(store: Store, joints: Sequence[str], takes: Mapping[str, Sequence[str]]) -> Iterator[Motion]:

@@ -9,15 +9,15 @@ from html import escape
 from importlib import resources
 
 import numpy as np
-import numpy.typing as npt
 
 from kinedex.catalog.features import FeatureSet
 from kinedex.catalog.queries.keyframe_query import Gap, KeyframeQuery, features_of
 from kinedex.catalog.queries.query_writer import pose_groups
+from kinedex.ops.arrays import F32
 from kinedex.ops.body.joint_tree import JOINT_PARENTS
 from kinedex.ops.intervals import shown_seconds
 from kinedex.ops.search.gaps import UNBOUNDED
-from kinedex.reports.motions import pack
+from kinedex.reports.motions import pack, parents_of
 
 _STYLE = """:root { color-scheme: light dark; --line: #8884; --left: #1f6fc4; --right: #c8402f; }
 body { margin: 0; font: 13px system-ui, sans-serif; color: #222; background: #fff; }
@@ -53,7 +53,7 @@ class Shown:
     label: str
     facts: Sequence[tuple[str, str]]
     joints: tuple[str, ...]
-    positions: npt.NDArray[np.float32]
+    positions: F32
     frames: int
     rate_hz: float
 
@@ -71,10 +71,11 @@ def take_html(take: Shown) -> str:
 def player_page(take: Shown) -> str:
     """Return a whole page that plays a take."""
     joints = [joint for joint in take.joints if joint in JOINT_PARENTS]
-    parents = [joints.index(parent) if (parent := JOINT_PARENTS[joint]) in joints else -1 for joint in joints]
     columns = [take.joints.index(joint) for joint in joints]
     motion = pack(take.label, take.positions[:, columns].transpose(1, 2, 0), take.rate_hz)
-    data = json.dumps({"joints": joints, "parents": parents, "motions": [asdict(motion)]}).replace("<", "\\u003c")
+    data = json.dumps({"joints": joints, "parents": parents_of(joints), "motions": [asdict(motion)]}).replace(
+        "<", "\\u003c"
+    )
     script = resources.files("kinedex.reports").joinpath("pages", "player.js").read_text("utf-8")
     shown = len(take.positions)
     what = "the take" if shown == take.frames else f"the first {shown_seconds(shown, take.rate_hz, 0)} seconds"

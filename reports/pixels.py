@@ -6,8 +6,9 @@ import base64
 import io
 
 import numpy as np
-import numpy.typing as npt
 from PIL import Image
+
+from kinedex.ops.arrays import F64, U8
 
 Colour = tuple[int, int, int]
 
@@ -30,7 +31,7 @@ def ramp(position: float) -> Colour:
     return red, green, blue
 
 
-def soft_image(values: npt.NDArray[np.float64]) -> str:
+def soft_image(values: F64) -> str:
     """Draw a template: 0 is black, 1 is white, values between have the colours of the ramp.
 
     Parameters
@@ -50,7 +51,7 @@ def soft_image(values: npt.NDArray[np.float64]) -> str:
     return png_uri(indices.T, palette)
 
 
-def quantised_image(values: npt.NDArray[np.float64], delta: float) -> str:
+def quantised_image(values: F64, delta: float) -> str:
     """Draw a quantised template: values up to δ are black, from 1 − δ white, wildcards grey blue."""
     indices = np.full(values.shape, 2, dtype=np.uint8)
     indices[values <= delta + TOLERANCE] = 0
@@ -58,14 +59,14 @@ def quantised_image(values: npt.NDArray[np.float64], delta: float) -> str:
     return png_uri(indices.T, [BLACK, WHITE, WILDCARD])
 
 
-def wildcard_share(values: npt.NDArray[np.float64], delta: float) -> float:
+def wildcard_share(values: F64, delta: float) -> float:
     """Return the fraction of entries that are wildcards once quantised with δ."""
     if not values.size:
         return 0.0
     return float(np.mean((values > delta + TOLERANCE) & (values < 1 - delta - TOLERANCE)))
 
 
-def png_uri(indices: npt.NDArray[np.uint8], palette: list[Colour]) -> str:
+def png_uri(indices: U8, palette: list[Colour]) -> str:
     """Encode a matrix of palette indices, first row on top, as a PNG data URI."""
     image = Image.fromarray(indices.repeat(SCALE, axis=0).repeat(SCALE, axis=1), "P")
     image.putpalette([channel for colour in palette for channel in colour])

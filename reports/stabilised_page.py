@@ -7,10 +7,10 @@ from dataclasses import asdict, dataclass, field
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 import pyarrow as pa
 
 from kinedex.catalog.kinematics import load_kinematic_chain
+from kinedex.ops.arrays import F64
 from kinedex.ops.body.kinematic_chain import ChainBody, forward
 from kinedex.ops.intervals import in_seconds
 from kinedex.ops.tracking.observations import LEAST_CONFIDENCE
@@ -22,8 +22,6 @@ from kinedex.pipelines.tracking.work import ESTIMATE
 from kinedex.reports.motions import embed, pack, script_json
 from kinedex.reports.page_environment import page_environment
 from kinedex.storage.store.store import Store
-
-F64 = npt.NDArray[np.float64]
 
 BINS = 240
 """Number of columns of a strip that shows the fraction of trusted keypoints."""

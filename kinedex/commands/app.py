@@ -5,16 +5,15 @@ from __future__ import annotations
 import errno
 import functools
 import inspect
-import json
 import os
 import signal
 import sys
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager, suppress
-from dataclasses import asdict
+from dataclasses import asdict, fields
 from importlib import import_module
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, TypeVar
+from typing import TYPE_CHECKING, Annotated, Any, TypeVar, get_args, get_origin, get_type_hints
 
 import typer
 from typer.core import TyperCommand, TyperGroup
@@ -27,10 +26,10 @@ from kinedex.commands.command_list import SEARCH as SEARCH
 from kinedex.commands.command_list import TRACK as TRACK
 from kinedex.console.plain_values import convert_plain_values
 from kinedex.ops.errors import KinedexError, Remedy
-from kinedex.ops.wording import json_escaped, visible_lines
+from kinedex.ops.wording import visible_lines
 
 if TYPE_CHECKING:
-    from types import TracebackType
+    pass
 
 FAILED, LEFT_OUT, TIMED_OUT, INTERRUPTED = 1, 3, 124, 130
 """Exit codes: failed; done, but source files or labels were excluded; `--timeout` ended it; Ctrl-C stopped it."""
@@ -80,7 +79,7 @@ class HelpPage(TyperGroup):
 
     def resolve_command(self, ctx: Any, args: list[str]) -> Any:
         """Find the command that the arguments name."""
-        with _UsageErrors(args):
+        with _usage_errors(args):
             return super().resolve_command(ctx, args)
 
 
@@ -90,24 +89,21 @@ class Command(TyperCommand):
     def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
         """Parse the arguments and options of the command."""
         convert_plain_values(self.get_params(ctx))
-        with _UsageErrors(args):
+        with _usage_errors(args):
             return super().parse_args(ctx, args)
 
 
-class _UsageErrors:
+@contextmanager
+def _usage_errors(args: list[str]) -> Iterator[None]:
     """Print usage errors as JSON if the arguments contain `--json`."""
-
-    def __init__(self, args: list[str]) -> None:
-        self._json = "--json" in args
-
-    def __enter__(self) -> None:
-        return None
-
-    def __exit__(self, kind: type[BaseException] | None, fault: BaseException | None, _: TracebackType | None) -> None:
-        if self._json and isinstance(fault, Exception) and hasattr(fault, "format_message"):
-            code = int(getattr(fault, "exit_code", 2))
-            print_error(str(fault.format_message()), "UsageError", code, as_json=True)
-            raise typer.Exit(code) from None
+    try:
+        yield
+    except Exception as fault:
+        if "--json" not in args or not hasattr(fault, "format_message"):
+            raise
+        code = int(getattr(fault, "exit_code", 2))
+        print_error(str(fault.format_message()), "UsageError", code, as_json=True)
+        raise typer.Exit(code) from None
 
 
 class Program(HelpPage):
@@ -253,8 +249,27 @@ NO_PATHS = ("scheduler", "note")
 """Parameters of commands whose texts may be addresses with a scheme."""
 
 
+class OptionGroup:
+    """Options that belong together, as a dataclass with a field for each.
+
+    A parameter of a command whose type is such a class, `run: RunOptions`, stands for all of its options;
+    `run: Annotated[RunOptions, "workers wait"]` stands for those that are named, in this order.
+    """
+
+
+def _group_of(kind: Any) -> tuple[type[OptionGroup], list[str]] | None:
+    """Return the class of a parameter that stands for several options, and their names; None for any other."""
+    group, *names = get_args(kind) if get_origin(kind) is Annotated else (kind,)
+    if not (isinstance(group, type) and issubclass(group, OptionGroup)):
+        return None
+    return group, names[0].split() if names else [one.name for one in fields(group) if one.init]  # type: ignore[arg-type]
+
+
 def _guarded(function: Callable[..., None]) -> Callable[..., None]:
     """Wrap a command: add the common options, and print one message and set the exit code if it fails."""
+    signature = inspect.signature(function, eval_str=True)
+    found = {name: _group_of(one.annotation) for name, one in signature.parameters.items()}
+    groups = {name: group for name, group in found.items() if group is not None}
 
     @functools.wraps(function)
     def guarded(**arguments: Any) -> None:
@@ -270,6 +285,8 @@ def _guarded(function: Callable[..., None]) -> Callable[..., None]:
             refuse_addresses([value for name, value in arguments.items() if name not in NO_PATHS])
             refuse_addresses(log_file)
             configure_logging(quiet=quiet, verbose=verbose, log_file=log_file)
+            for name, (group, options) in groups.items():
+                arguments[name] = group(**{option: arguments.pop(option) for option in options})
             with _logged(function.__name__.replace("_", "-")), ctrl_c_in_statements():
                 function(**arguments)
         except KinedexError as fault:
@@ -300,16 +317,23 @@ def _guarded(function: Callable[..., None]) -> Callable[..., None]:
             return
         raise typer.Exit(FAILED)
 
-    signature = inspect.signature(function, eval_str=True)
-    common = [
+    parameters: list[inspect.Parameter] = []
+    for name, one in signature.parameters.items():
+        if name not in groups:
+            parameters.append(one)
+            continue
+        group, options = groups[name]
+        kinds = get_type_hints(group, include_extras=True)
+        parameters += [
+            inspect.Parameter(option, one.kind, default=getattr(group, option), annotation=kinds[option])
+            for option in options
+        ]
+    parameters += [
         inspect.Parameter(name, inspect.Parameter.KEYWORD_ONLY, default=default, annotation=kind)
         for name, (kind, default) in COMMON_OPTIONS.items()
     ]
-    guarded.__signature__ = signature.replace(parameters=[*signature.parameters.values(), *common])  # type: ignore[attr-defined]
-    guarded.__annotations__ = {
-        **{name: one.annotation for name, one in signature.parameters.items()},
-        **{one.name: one.annotation for one in common},
-    }
+    guarded.__signature__ = signature.replace(parameters=parameters)  # type: ignore[attr-defined]
+    guarded.__annotations__ = {one.name: one.annotation for one in parameters}
     return guarded
 
 
@@ -354,7 +378,9 @@ def print_error(message: str, kind: str, code: int, as_json: bool, remedy: Remed
         What to do, as a command or an action.
     """
     if as_json:
+        from kinedex.storage.formats.json_text import json_text
+
         error = {"type": kind, "message": message, "exit_code": code, "remedy": remedy and asdict(remedy)}
-        print(json_escaped(json.dumps({"error": error}, indent=1, ensure_ascii=False)))
+        print(json_text({"error": error}), end="")
     else:
         print(f"kinedex: {visible_lines(message)}", file=sys.stderr)

@@ -10,7 +10,7 @@ from typing import Annotated
 import typer
 
 from kinedex.commands.app import MAINTAIN, command
-from kinedex.commands.options import JsonOption, StorePath, WaitOption, WhereOption, wait_of
+from kinedex.commands.options import JsonOption, StorePath, WaitOption, WhereOption, wait_of, writer_of
 from kinedex.commands.output import print_json, print_message, show_table
 from kinedex.commands.tables import takes_group
 from kinedex.ops.errors import KinedexError, did_you_mean
@@ -45,7 +45,6 @@ def use(
     """
     from kinedex.storage.snapshot.shown_results import current_pipeline, pipeline_runs, result_pipelines
     from kinedex.storage.store.store import open_store
-    from kinedex.storage.store.writer import StoreWriter
 
     if pipeline is not None and latest:
         raise typer.BadParameter("give a pipeline or --latest, not both")
@@ -54,7 +53,7 @@ def use(
     opened = open_store(store, at="newest")
     manifest = opened.manifest
     if pipeline is not None or latest:
-        with StoreWriter.open(store, opened.feature_set, opened.rate_hz, wait_of(wait)) as writer:
+        with writer_of(opened, wait) as writer:
             if pipeline is not None and at is not None:
                 writer.restore_pipeline(pipeline, open_store(store, at=at).manifest)
             else:
@@ -67,7 +66,7 @@ def use(
         print_json({"store": store, "current": current, "chosen": chosen, "pipeline_runs": runs})
         return
     if pipeline is None and not latest:
-        show_table(result_pipelines(manifest), "table", None)
+        show_table(result_pipelines(manifest))
     if current is None:
         print_message(f"{store}: no pipeline has made results")
         return
@@ -95,12 +94,11 @@ def remove(
     from kinedex.storage.index.builder import build_index
     from kinedex.storage.store.store import open_store
     from kinedex.storage.store.take_removal import planned_removal, remove_takes
-    from kinedex.storage.store.writer import StoreWriter
 
     opened = open_store(store, at="newest")
     planned = planned_removal(opened, takes or (), where)
     if accept:
-        with StoreWriter.open(store, opened.feature_set, opened.rate_hz, wait_of(wait)) as writer:
+        with writer_of(opened, wait) as writer:
             planned = planned_removal(writer.store, takes or (), where)
             remove_takes(writer, planned)
         build_index(open_store(store, at="newest"), wait=wait_of(wait))
@@ -111,7 +109,7 @@ def remove(
         print_json({**document, "returning": planned.returning, "tracks": planned.tracks, "labels": planned.labels})
         return
     if not accept:
-        show_table(planned.takes.select(["name", "actor", "class", "seconds", "source"]), "table", None, paged=True)
+        show_table(planned.takes.select(["name", "actor", "class", "seconds", "source"]), paged=True)
     count = counted(len(names), "take")
     labels = f"; the store keeps {counted(planned.labels, 'label')}" if planned.labels else ""
     print_message(f"{count} {'removed' if accept else 'would be removed'}{labels}")
@@ -147,7 +145,6 @@ def readmit(
     import pyarrow as pa
 
     from kinedex.storage.store.store import open_store
-    from kinedex.storage.store.writer import StoreWriter
 
     opened = open_store(store, at="newest")
     removed = [(root, path) for root, paths in opened.manifest.removed_files.items() for path in paths]
@@ -157,7 +154,7 @@ def readmit(
             near = did_you_mean(name, [path for _, path in removed])
             raise KinedexError(f"no takes were removed of a file '{name}'{near}")
     if chosen:
-        with StoreWriter.open(store, opened.feature_set, opened.rate_hz, wait_of(wait)) as writer:
+        with writer_of(opened, wait) as writer:
             writer.readmit_files(chosen)
             writer.commit()
     shown = chosen if files or every else removed
@@ -166,7 +163,7 @@ def readmit(
         print_json({"store": store, "readmitted": bool(files) or every, "files": rows})
         return
     schema = pa.schema([("source_root", pa.string()), ("source", pa.string())])
-    show_table(pa.Table.from_pylist(rows, schema=schema), "table", None, paged=True)
+    show_table(pa.Table.from_pylist(rows, schema=schema), paged=True)
     done = "are read by the next ingest of their folder" if files or every else "are passed over by ingests"
     done = done.replace("are ", "is ", 1) if len(shown) == 1 else done
     print_message(f"{counted(len(shown), 'file')} {done}")
@@ -190,11 +187,10 @@ def merge(
     from kinedex.storage.index.builder import build_index
     from kinedex.storage.store.merge import merge_store
     from kinedex.storage.store.store import open_store
-    from kinedex.storage.store.writer import StoreWriter
 
     mine = open_store(store, at="newest")
     with open_store(other, at="newest") as theirs:
-        with StoreWriter.open(store, mine.feature_set, mine.rate_hz, wait_of(wait)) as writer:
+        with writer_of(mine, wait) as writer:
             with Terminal(message_console()).progress("copy", len(theirs.manifest.live_takes)) as bar:
                 merged = merge_store(writer, theirs, prefix, bar.advance)
             takes = len(writer.manifest.live_takes)

@@ -2,228 +2,284 @@
 
 from __future__ import annotations
 
+import csv
 import time
 from collections.abc import Mapping
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 from rich.console import Console
 
+from kinedex.catalog.configs import config_path, load_yaml
+from kinedex.catalog.limbs import WORN
 from kinedex.console.terminal import Terminal
+from kinedex.ops.arrays import F64
 from kinedex.ops.errors import KinedexError
+from kinedex.ops.inertial.rotations import distance_deg
+from kinedex.ops.intervals import in_seconds
+from kinedex.ops.packages import imu_package
 from kinedex.ops.wording import counted, few
 from kinedex.pipelines.engine.executors import cores
 from kinedex.pipelines.engine.kernel_compilation import KernelCompilation
 from kinedex.pipelines.engine.runner import Outcome, run_pipeline
+from kinedex.pipelines.recordings.runs import earlier_rows
 from kinedex.pipelines.synth.archive import Summary, write_archive
 from kinedex.storage.snapshot.manifest_files import versions
-from kinedex.storage.store.store import open_store
+from kinedex.storage.store.store import Store, open_store
 
 ACTORS, SEED = 5, 2026
 
-FILMED, LEAST_FRAMES = "al", 45
-"""The actor who is filmed in the demos of tracking and depth, and the least number of frames of a filmed clip."""
+FILMED = "al"
+"""The actor who is filmed in the demos of tracking and depth; the archive has the motions of the others."""
+
+CLIPS, OTHERS = (
+    f"actor = '{FILMED}' AND class IS NOT NULL AND frames >= 45",
+    f"class IS NOT NULL AND actor <> '{FILMED}'",
+)
+"""The clips that are filmed, and those of which an archive's templates and poses are."""
 
 DEPTH_TAKES = 6
 """Number of clips that are filmed in the demo of depth."""
 
+INERTIAL = "chapter7"
+"""The pipeline that injects errors into takes and detects them by sensors."""
 
-def run_demo(
-    store: Path,
-    data: Path | None,
-    minutes: float,
-    executor: str,
-    workers: int | None,
-    console: Console,
-    method: str = "thesis",
-) -> Outcome:
+WORN_TAKES, LEAST_S = 4, 15.0
+"""Number of takes with simulated sensors, and their least duration in seconds."""
+
+TRUTH = Path("truth") / "sensors.csv"
+
+
+@dataclass(frozen=True)
+class Demo:
+    """A demo: its store, the minutes of motion in its synthetic archive, and how its pipelines run."""
+
+    store: Path
+    minutes: float
+    executor: str
+    workers: int | None
+    console: Console
+
+    @property
+    def archive(self) -> Path:
+        """The folder of the synthetic archive, beside the store."""
+        return self.store.parent / f"{self.store.name}-archive-{self.minutes:g}min"
+
+    @property
+    def recordings(self) -> Path:
+        """The folder of the recordings, which depends on the length of the archive, as the takes do."""
+        return self.store.parent / f"{self.store.name}-recordings-{self.minutes:g}min"
+
+    def say(self, text: str, style: str | None = None) -> None:
+        """Print a line."""
+        self.console.print(text, style=style, markup=False)
+
+    def ingest(self) -> None:
+        """Make the synthetic archive, unless it is there, and ingest it."""
+        refuse_other_takes(self.store, self.archive)
+        make_archive(self.archive, self.minutes, ACTORS, SEED, self.workers, self.console)
+        patterns = load_yaml(config_path("pipelines", "reconstruct")).mapping()["settings"]["patterns"]
+        self.run("ingest", settings={"source": str(self.archive), "ingest.patterns": patterns})
+
+    def run(
+        self, pipeline: str, assignments: Mapping[str, str] | None = None, settings: Mapping[str, Any] | None = None
+    ) -> Outcome:
+        """Run a pipeline with the texts of `--set`, or with settings by name."""
+        return run_pipeline(
+            pipeline, self.store, assignments=assignments, settings=settings, executor=self.executor,
+            workers=self.workers, terminal=Terminal(self.console),
+        )  # fmt: skip
+
+    def run_settled(self, pipeline: str, settings: Mapping[str, str]) -> Outcome:
+        """Run a pipeline that makes takes from recordings, and again, so that the index has these takes.
+
+        The outcome is that of the first run; a later one with the same settings has nothing to do.
+        """
+        self.say(f"store: {self.store}")
+        assignments = {"source": str(self.archive), **settings}
+        outcome = self.run(pipeline, assignments)
+        if outcome.ran:
+            Terminal(self.console).heading("the same again, with the takes of the recordings in the index")
+            self.run(pipeline, assignments)
+        return outcome
+
+
+def run_demo(demo: Demo, data: Path | None, method: str = "thesis") -> Outcome:
     """Run the pipeline `annotate`; without data, on a synthetic archive beside the store.
 
     Parameters
     ----------
-    store : Path
-        Directory of the store.
+    demo : Demo
+        The demo.
     data : Path or None
         Archive of the user; None makes a synthetic one.
-    minutes : float
-        Minutes of motion in the synthetic archive.
-    executor : str
-        Executor, as for `run_pipeline`.
-    workers : int or None
-        Number of workers, as for `run_pipeline`.
-    console : Console
-        Where messages are printed.
     method : str
         Method of the stage `annotate`: thesis or best.
-
-    Returns
-    -------
-    Outcome
-        What the pipeline did.
 
     Raises
     ------
     KinedexError
-        If `data` is no folder, or a stage fails.
+        `data` is no folder, the store has takes of another archive only, or a stage fails.
     """
     settings = {"method": method}
     if data is not None and not data.is_dir():
         raise KinedexError(f"--data {data}: no such folder")
-    refuse_other_takes(store, data or archive_folder(store, minutes))
+    refuse_other_takes(demo.store, data or demo.archive)
     if data is None:
-        data = archive_folder(store, minutes)
-        kernels = None if data.exists() or executor == "serial" else KernelCompilation(workers)
-        make_archive(data, minutes, ACTORS, SEED, workers, console)
+        data = demo.archive
+        kernels = None if data.exists() or demo.executor == "serial" else KernelCompilation(demo.workers)
+        make_archive(data, demo.minutes, ACTORS, SEED, demo.workers, demo.console)
         if kernels is not None and not kernels.is_done:
-            with Terminal(console).progress("compiling kernels"):
+            with Terminal(demo.console).progress("compiling kernels"):
                 kernels.wait()
         settings["classes"] = "synthetic"
-    settings["source"] = str(data)
-    console.print(f"store: {store}", markup=False)
-    return run_pipeline(
-        "annotate", store, assignments=settings, executor=executor, workers=workers, terminal=Terminal(console)
-    )
+    demo.say(f"store: {demo.store}")
+    return demo.run("annotate", {**settings, "source": str(data)})
 
 
-def run_tracking_demo(store: Path, minutes: float, executor: str, workers: int | None, console: Console) -> Outcome:
-    """Film takes of one actor of a synthetic archive, and run the pipeline `stabilise` with the archive of the others.
+def run_tracking_demo(demo: Demo) -> Outcome:
+    """Film takes of one actor of a synthetic archive, and stabilise their tracks with the archive of the others."""
+    from kinedex.pipelines.simulation.camera_recordings import RECORDINGS, Request, simulate_cameras
 
-    Parameters
-    ----------
-    store : Path
-        Directory of the store.
-    minutes : float
-        Minutes of motion in the synthetic archive.
-    executor : str
-        Executor, as for `run_pipeline`.
-    workers : int or None
-        Number of workers, as for `run_pipeline`.
-    console : Console
-        Where messages are printed.
-
-    Raises
-    ------
-    KinedexError
-        A stage fails.
-    """
-    from kinedex.pipelines.simulation.camera_recordings import Request, simulate_cameras
-
-    terminal = Terminal(console)
-    common: dict[str, Any] = {"executor": executor, "workers": workers, "terminal": terminal}
-    data = ingest_archive(store, minutes, console, common)
-    recordings = recordings_folder(store, minutes)
-    if not (recordings / "recordings.yaml").is_file():
-        console.print(f"recordings of the actor '{FILMED}' in {recordings}", style="bold", markup=False)
-        where = f"actor = '{FILMED}' AND class IS NOT NULL AND frames >= {LEAST_FRAMES}"
-        with open_store(store) as opened:
-            made = simulate_cameras(opened, Request(where=where, seed=SEED), recordings, terminal.progress)
+    demo.ingest()
+    file = demo.recordings / RECORDINGS
+    if not file.is_file():
+        demo.say(f"recordings of the actor '{FILMED}' in {demo.recordings}", "bold")
+        with open_store(demo.store) as opened:
+            request = Request(where=CLIPS, seed=SEED)
+            made = simulate_cameras(opened, request, demo.recordings, Terminal(demo.console).progress)
         filmed = f"{counted(len(made.recordings), 'recording')}, {counted(made.failures, 'failure')}"
-        console.print(f"    {filmed} in {made.frames:,} frames", markup=False)
-    console.print(f"store: {store}", markup=False)
-    settings = {
-        "source": str(data),
-        "recordings": str(recordings / "recordings.yaml"),
-        "train": f"class IS NOT NULL AND actor <> '{FILMED}'",
-    }
-    return run_settled("stabilise", store, settings, common)
+        demo.say(f"    {filmed} in {made.frames:,} frames")
+    return demo.run_settled("stabilise", {"recordings": str(file), "train": OTHERS})
 
 
-def run_depth_demo(store: Path, minutes: float, executor: str, workers: int | None, console: Console) -> Outcome:
-    """Film takes of one actor of a synthetic archive by a depth camera, and reconstruct them with the others' poses.
-
-    Parameters
-    ----------
-    store : Path
-        Directory of the store.
-    minutes : float
-        Minutes of motion in the synthetic archive.
-    executor : str
-        Executor, as for `run_pipeline`.
-    workers : int or None
-        Number of workers, as for `run_pipeline`.
-    console : Console
-        Where messages are printed.
-
-    Raises
-    ------
-    KinedexError
-        A stage fails.
-    """
+def run_depth_demo(demo: Demo) -> Outcome:
+    """Film takes of one actor of a synthetic archive by a depth camera, and reconstruct them with the others' poses."""
     from kinedex.pipelines.simulation.depth_recordings import RECORDINGS, Request, simulate_depth
 
-    terminal = Terminal(console)
-    common: dict[str, Any] = {"executor": executor, "workers": workers, "terminal": terminal}
-    data = ingest_archive(store, minutes, console, common)
-    recordings = recordings_folder(store, minutes)
-    if not (recordings / RECORDINGS).is_file():
-        console.print(f"depth recordings of the actor '{FILMED}' in {recordings}", style="bold", markup=False)
-        where = f"actor = '{FILMED}' AND class IS NOT NULL AND frames >= {LEAST_FRAMES}"
-        with open_store(store) as opened:
-            names = [str(name) for name in opened.takes(where).sort("name")["name"].to_list()][:DEPTH_TAKES]
-            made = simulate_depth(opened, Request(tuple(names), seed=SEED), recordings, terminal.progress)
-        console.print(f"    {counted(len(made.recordings), 'recording')}, {made.frames:,} frames", markup=False)
-    console.print(f"store: {store}", markup=False)
-    settings = {
-        "source": str(data),
-        "recordings": str(recordings / RECORDINGS),
-        "pose_database.where": f"class IS NOT NULL AND actor <> '{FILMED}'",
-    }
-    return run_settled("reconstruct", store, settings, common)
+    demo.ingest()
+    file = demo.recordings / RECORDINGS
+    if not file.is_file():
+        demo.say(f"depth recordings of the actor '{FILMED}' in {demo.recordings}", "bold")
+        with open_store(demo.store) as opened:
+            names = [str(name) for name in opened.takes(CLIPS).sort("name")["name"].to_list()][:DEPTH_TAKES]
+            request = Request(tuple(names), seed=SEED)
+            made = simulate_depth(opened, request, demo.recordings, Terminal(demo.console).progress)
+        demo.say(f"    {counted(len(made.recordings), 'recording')}, {made.frames:,} frames")
+    return demo.run_settled("reconstruct", {"recordings": str(file), "pose_database.where": OTHERS})
 
 
-def run_settled(pipeline: str, store: Path, settings: Mapping[str, str], run: Mapping[str, Any]) -> Outcome:
-    """Run a pipeline that makes takes from recordings, and run it again, so that the index has these takes.
+def run_inertial_demo(demo: Demo) -> Outcome:
+    """Simulate sensors on takes of a synthetic archive, inject errors into the takes, and detect them by the sensors.
 
-    Parameters
-    ----------
-    pipeline : str
-        Name of the pipeline.
-    store : Path
-        Directory of the store.
-    settings : mapping of str to str
-        Its settings, as `--set` gives them.
-    run : mapping of str to any
-        Executor, workers and terminal, as for `run_pipeline`.
-
-    Returns
-    -------
-    Outcome
-        That of the first run; a later one with the same settings has nothing to do.
+    Raises
+    ------
+    KinedexError
+        A stage fails, no take is long enough, or a package of the extra `imu` is missing.
     """
-    outcome = run_pipeline(pipeline, store, assignments=settings, **run)
-    if outcome.ran:
-        run["terminal"].heading("the same again, with the takes of the recordings in the index")
-        run_pipeline(pipeline, store, assignments=settings, **run)
+    from kinedex.pipelines.simulation.imu_recordings import Request, simulate_imu
+    from kinedex.pipelines.simulation.imu_sensors import Wearing
+
+    for package in ("vqf", "scipy.interpolate"):
+        imu_package(package, "the demo of inertial sensors needs")
+    demo.ingest()
+    recordings = demo.recordings
+    with open_store(demo.store) as opened:
+        names = _long_takes(opened)
+        if not names:
+            raise KinedexError(
+                f"no take of {demo.minutes:g} minutes of motion lasts {LEAST_S:g} s, which sensors need to be "
+                "synchronised; use --minutes 3"
+            )
+        if not (recordings / TRUTH).is_file():
+            demo.say(f"simulated sensors on {counted(len(names), 'take')} in {recordings}", "bold")
+            request = Request(WORN, "good", Wearing(SEED))
+            made = simulate_imu(opened, names, None, request, recordings, Terminal(demo.console).progress)
+            demo.say(f"    {made.seconds:.0f} s of motion, {made.samples:,} samples")
+    demo.say(f"store: {demo.store}")
+    settings = {
+        "source": str(demo.archive),
+        "recordings": str(recordings / "recordings"),
+        "sensors": str(recordings / "sensors.yaml"),
+        "where": f"name IN ({', '.join(repr(name) for name in names)})",
+    }
+    outcome = demo.run(INERTIAL, settings)
+    with open_store(demo.store, at="newest") as opened:
+        for line in figures(opened, recordings):
+            demo.say(line)
     return outcome
 
 
-def ingest_archive(store: Path, minutes: float, console: Console, run: Mapping[str, Any]) -> Path:
-    """Make the synthetic archive of a demo beside its store, ingest it, and return its folder.
+def _long_takes(store: Store) -> list[str]:
+    """Return the first takes that are long enough to be synchronised."""
+    rows = store.take_rows.to_pylist()
+    long = [row["name"] for row in rows if row["class"] is None and in_seconds(row["frames"], store.rate_hz) >= LEAST_S]
+    return sorted(str(name) for name in long)[:WORN_TAKES]
+
+
+def figures(store: Store, recordings: Path) -> list[str]:
+    """Return lines of text that compare estimated clocks, mounts and errors with the truth of the simulation.
 
     Parameters
     ----------
-    store : Path
-        Directory of the store.
-    minutes : float
-        Minutes of motion.
-    console : Console
-        Where messages are printed.
-    run : mapping of str to any
-        Executor, workers and terminal, as for `run_pipeline`.
+    store : Store
+        The store.
+    recordings : Path
+        The folder of the simulated sensors, with `truth/sensors.csv`.
     """
-    from kinedex.catalog.configs import config_path, load_yaml
+    with (recordings / TRUTH).open(newline="", encoding="utf-8") as file:
+        truth = {(row["file"], row["sensor"]): row for row in csv.DictReader(file)}
+    truth = {(file.removeprefix("recordings/"), sensor): row for (file, sensor), row in truth.items()}
+    offsets = {file: float(row["offset_s"]) for (file, _), row in truth.items()}
+    clocks = earlier_rows(store, "sensor_sync", f"{INERTIAL}/synchronise")
+    late = [
+        abs(float(str(row["offset_s"])) - offsets[str(row["recording"])])
+        for row in clocks
+        if row["offset_s"] is not None
+    ]
+    mounts = [
+        float(
+            distance_deg(
+                _quaternion(row["q_mount"], ""),
+                _quaternion(truth[str(row["recording"]), str(row["sensor"])], "q_mount_"),
+            )
+        )
+        for row in earlier_rows(store, "sensor_calibration", f"{INERTIAL}/calibrate_sensors")
+        if row["q_mount"] is not None
+    ]
+    lines = ["against the truth of the simulated sensors:"]
+    if late:
+        lines.append(f"    {counted(len(late), 'offset')} of clocks: off by {1000 * max(late):.1f} ms at most")
+    if mounts:
+        lines.append(
+            f"    {counted(len(mounts), 'mount')}: off by {np.median(mounts):.1f} degrees in the median, "
+            f"{max(mounts):.1f} at most"
+        )
+    rows = earlier_rows(store, "limb_error_metrics", f"{INERTIAL}/evaluate_limb_errors")
+    return [*lines, *_agreement(rows)]
 
-    data = archive_folder(store, minutes)
-    refuse_other_takes(store, data)
-    make_archive(data, minutes, ACTORS, SEED, run["workers"], console)
-    patterns = load_yaml(config_path("pipelines", "reconstruct")).mapping()["settings"]["patterns"]
-    run_pipeline("ingest", store, settings={"source": str(data), "ingest.patterns": patterns}, **run)
-    return data
+
+def _agreement(rows: list[dict[str, Any]]) -> list[str]:
+    """Return the agreement with the simulated annotators at the thesis's τ and at the best one."""
+    own = [row for row in rows if (row["scope"], row["detector"], row["annotator"]) == ("all", "sensors", "all")]
+    known = [row for row in own if row["f1"] is not None]
+    if not known:
+        return []
+    best = max(known, key=lambda row: row["f1"])
+    shown = [row for row in known if row["tau_deg"] == 45.0] + [best]
+    lines = ["wrong limbs, frames, against simulated annotators:"]
+    for row in shown:
+        name = "best τ" if row is best else "τ"
+        lines.append(
+            f"    {name} = {row['tau_deg']:g} degrees: P {row['p1']:.2f}, R {row['r1']:.2f}, F {row['f1']:.2f}"
+        )
+    return lines
 
 
-def archive_folder(store: Path, minutes: float) -> Path:
-    """Return the folder of a demo's synthetic archive, beside its store."""
-    return store.parent / f"{store.name}-archive-{minutes:g}min"
+def _quaternion(row: Any, prefix: str) -> F64:
+    return np.array([float(row[f"{prefix}{axis}"]) for axis in "wxyz"])
 
 
 def refuse_other_takes(store: Path, data: Path) -> None:
@@ -252,11 +308,6 @@ def refuse_other_takes(store: Path, data: Path) -> None:
         "would mix others with them; name a folder for its store that does not exist yet, such as "
         f"{store.with_name(store.name + '-demo')}"
     )
-
-
-def recordings_folder(store: Path, minutes: float) -> Path:
-    """Return the folder of a demo's recordings, which depends on the length of the archive, as the takes do."""
-    return store.parent / f"{store.name}-recordings-{minutes:g}min"
 
 
 def make_archive(

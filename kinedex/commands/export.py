@@ -4,15 +4,15 @@ from __future__ import annotations
 
 import os
 import re
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from kinedex.commands.app import ASK, LEFT_OUT, command
-from kinedex.commands.options import AtOption, JsonOption, StorePath, WhereOption, seconds_of
+from kinedex.commands.app import ASK, LEFT_OUT, OptionGroup, command
+from kinedex.commands.options import AtOption, JsonOption, StorePath, WhereOption, open_for_reading, seconds_of
 from kinedex.commands.output import print_json, print_message, print_path
-from kinedex.commands.store_access import open_for_reading
 from kinedex.ops.errors import KinedexError
 from kinedex.ops.intervals import in_seconds
 from kinedex.pipelines.export.request import FORMS, form_named
@@ -31,13 +31,6 @@ def _metres_of(text: str | float) -> float:
     return float(match[1]) * _METRES[match[2]]
 
 
-def _shares_of(text: str) -> tuple[float, ...]:
-    try:
-        return tuple(float(part) for part in text.split(","))
-    except ValueError:
-        raise KinedexError(f"--shares {text}: expected two or three numbers, such as 0.8,0.1,0.1") from None
-
-
 TakesArgument = Annotated[list[str] | None, typer.Argument(metavar="[TAKE...]", help="Takes; all unless given.")]
 PlaceOption = Annotated[
     str | None,
@@ -52,64 +45,105 @@ ClipFormatOption = Annotated[
 JointsOption = Annotated[
     bool, typer.Option("--joints", help="Write the 24 joints also where the source's own channels can be cut.")
 ]
-AnnotationsOption = Annotated[bool, typer.Option("--annotations", help="Cut out annotated segments.")]
-LabelsOption = Annotated[bool, typer.Option("--labels", help="Cut out the labels of people.")]
-HitsOption = Annotated[str | None, typer.Option(metavar="NAME", help="Cut out the hits that were saved as NAME.")]
-RangesOption = Annotated[
-    Path | None, typer.Option(metavar="FILE", help="Cut out the rows of a CSV file: take,start,stop[,class].")
-]
-SqlOption = Annotated[
-    str | None, typer.Option(metavar="QUERY", help="Cut out the rows of a query: take[, start, stop, class, …].")
-]
-ClassOption = Annotated[
-    list[str] | None, typer.Option("--class", metavar="CLASS", help="Only this class; may be given several times.")
-]
-AnnotatedByOption = Annotated[
-    str | None,
-    typer.Option(
-        "--pipeline",
-        "--stage",
-        metavar="NAME",
-        help="PIPELINE, PIPELINE/STAGE or run that annotated; the current pipeline unless given.",
-    ),
-]
-ConfidenceOption = Annotated[float | None, typer.Option(min=0, max=1, help="Least confidence.")]
-MarginOption = Annotated[
-    float | None,
-    typer.Option(parser=seconds_of, metavar="DURATION", help="Time to add before and after each clip, as 0.2s."),
-]
-ContextOption = Annotated[
-    float | None,
-    typer.Option(
-        parser=seconds_of, metavar="DURATION",
-        help="Surroundings that files hold besides; the clip is inner_start to inner_stop of metadata.csv.",
-    ),
-]  # fmt: skip
-MinLengthOption = Annotated[
-    float | None, typer.Option(parser=seconds_of, metavar="DURATION", help="Least duration of an interval.")
-]
-MirrorOption = Annotated[
-    bool,
-    typer.Option("--mirror", help="Add a twin of each clip, left and right exchanged, in the name of its class, too."),
-]
-ResampleOption = Annotated[float | None, typer.Option(metavar="HZ", help="Frames per second of the files.")]
-InPlaceOption = Annotated[bool, typer.Option("--in-place", help="Begin each clip above the origin, facing +Z.")]
-SplitOption = Annotated[
-    str | None, typer.Option(metavar="COLUMN", help="Split by a column of takes, as actor; no value is in two splits.")
-]
-SharesOption = Annotated[str, typer.Option(help="Shares of train,val,test or of train,test, by seconds.")]
-SeedOption = Annotated[int, typer.Option(help="Number that draws another split, and other clips.")]
-BalanceOption = Annotated[
-    bool, typer.Option("--balance", help="In each split, take as many clips of each class as of its rarest.")
-]
-PerClassOption = Annotated[int | None, typer.Option(min=1, metavar="N", help="Most clips of a class.")]
-DistinctOption = Annotated[
-    float | None,
-    typer.Option(
-        parser=_metres_of, metavar="LENGTH", help="Leave out clips whose joints are nearer to another's, as 3cm."
-    ),
-]
 ProcessesOption = Annotated[int | None, typer.Option(min=1, help="Worker processes; one per core unless given.")]
+
+
+@dataclass(frozen=True)
+class Choice(OptionGroup):
+    """The motions that are exported: whole takes, or the segments, labels, hits or rows by which they are cut."""
+
+    where: WhereOption = None
+    annotations: Annotated[bool, typer.Option("--annotations", help="Cut out annotated segments.")] = False
+    labels: Annotated[bool, typer.Option("--labels", help="Cut out the labels of people.")] = False
+    hits: Annotated[str | None, typer.Option(metavar="NAME", help="Cut out the hits that were saved as NAME.")] = None
+    ranges: Annotated[
+        Path | None, typer.Option(metavar="FILE", help="Cut out the rows of a CSV file: take,start,stop[,class].")
+    ] = None
+    sql: Annotated[
+        str | None, typer.Option(metavar="QUERY", help="Cut out the rows of a query: take[, start, stop, class, …].")
+    ] = None
+    classes: Annotated[
+        list[str] | None, typer.Option("--class", metavar="CLASS", help="Only this class; may be given several times.")
+    ] = None
+    pipeline: Annotated[
+        str | None,
+        typer.Option(
+            "--pipeline",
+            "--stage",
+            metavar="NAME",
+            help="PIPELINE, PIPELINE/STAGE or run that annotated; the current pipeline unless given.",
+        ),
+    ] = None
+    min_confidence: Annotated[float | None, typer.Option(min=0, max=1, help="Least confidence.")] = None
+
+    def what(self, takes: list[str] | None) -> What:
+        """Return the choice among takes."""
+        from kinedex.pipelines.export.request import What, source_of
+
+        kind, name = source_of(
+            annotations=self.annotations, labels=self.labels, hits=self.hits, ranges=self.ranges, sql=self.sql
+        )
+        return What(
+            kind, name, tuple(takes or ()), self.where, tuple(self.classes or ()), self.pipeline, self.min_confidence
+        )
+
+
+@dataclass(frozen=True)
+class Clips(OptionGroup):
+    """The form of exported clips, and the choice of those that a data set has."""
+
+    margin: Annotated[
+        float | None,
+        typer.Option(parser=seconds_of, metavar="DURATION", help="Time to add before and after each clip, as 0.2s."),
+    ] = None
+    context: Annotated[
+        float | None,
+        typer.Option(
+            parser=seconds_of,
+            metavar="DURATION",
+            help="Surroundings that files hold besides; the clip is inner_start to inner_stop of metadata.csv.",
+        ),
+    ] = None
+    min_length: Annotated[
+        float | None, typer.Option(parser=seconds_of, metavar="DURATION", help="Least duration of an interval.")
+    ] = None
+    mirror: Annotated[
+        bool,
+        typer.Option(
+            "--mirror", help="Add a twin of each clip, left and right exchanged, in the name of its class, too."
+        ),
+    ] = False
+    resample: Annotated[float | None, typer.Option(metavar="HZ", help="Frames per second of the files.")] = None
+    in_place: Annotated[bool, typer.Option("--in-place", help="Begin each clip above the origin, facing +Z.")] = False
+    split: Annotated[
+        str | None,
+        typer.Option(metavar="COLUMN", help="Split by a column of takes, as actor; no value is in two splits."),
+    ] = None
+    shares: Annotated[str, typer.Option(help="Shares of train,val,test or of train,test, by seconds.")] = "0.8,0.1,0.1"
+    seed: Annotated[int, typer.Option(help="Number that draws another split, and other clips.")] = 0
+    balance: Annotated[
+        bool, typer.Option("--balance", help="In each split, take as many clips of each class as of its rarest.")
+    ] = False
+    per_class: Annotated[int | None, typer.Option(min=1, metavar="N", help="Most clips of a class.")] = None
+    distinct: Annotated[
+        float | None,
+        typer.Option(
+            parser=_metres_of, metavar="LENGTH", help="Leave out clips whose joints are nearer to another's, as 3cm."
+        ),
+    ] = None
+
+    def how(self, form: str, joints: bool) -> How:
+        """Return how clips are written in a format."""
+        from kinedex.pipelines.export.request import How
+
+        try:
+            shares = tuple(float(part) for part in self.shares.split(","))
+        except ValueError:
+            raise KinedexError(f"--shares {self.shares}: expected two or three numbers, such as 0.8,0.1,0.1") from None
+        return How(
+            form, joints, self.margin or 0.0, self.context or 0.0, self.min_length or 0.0, self.mirror, self.resample,
+            self.in_place, self.split, shares, self.seed, self.balance, self.per_class, self.distinct,
+        )  # fmt: skip
 
 
 @command(ASK)
@@ -119,27 +153,9 @@ def export(
     output: PlaceOption = None,
     form: ClipFormatOption = "",
     joints: JointsOption = False,
-    where: WhereOption = None,
-    annotations: AnnotationsOption = False,
-    labels: LabelsOption = False,
-    hits: HitsOption = None,
-    ranges: RangesOption = None,
-    sql: SqlOption = None,
-    classes: ClassOption = None,
-    pipeline: AnnotatedByOption = None,
-    min_confidence: ConfidenceOption = None,
-    margin: MarginOption = None,
-    context: ContextOption = None,
-    min_length: MinLengthOption = None,
-    mirror: MirrorOption = False,
-    resample: ResampleOption = None,
-    in_place: InPlaceOption = False,
-    split: SplitOption = None,
-    shares: SharesOption = "0.8,0.1,0.1",
-    seed: SeedOption = 0,
-    balance: BalanceOption = False,
-    per_class: PerClassOption = None,
-    distinct: DistinctOption = None,
+    *,
+    chosen: Choice,
+    clips: Clips,
     workers: ProcessesOption = None,
     at: AtOption = None,
     as_json: JsonOption = False,
@@ -149,16 +165,12 @@ def export(
     With one TAKE, -o is a file unless it is a folder or ends in a slash. Otherwise it is the folder of a data set, with
     metadata.csv and dataset.json.
     """
-    from kinedex.pipelines.export.request import How, What, source_of
+    from kinedex.pipelines.export.request import What
 
-    kind, name = source_of(annotations=annotations, labels=labels, hits=hits, ranges=ranges, sql=sql)
-    what = What(kind, name, tuple(takes or ()), where, tuple(classes or ()), pipeline, min_confidence)
+    what = chosen.what(takes)
     alone = what == What(takes=what.takes) and len(what.takes) == 1 and not _is_folder(output)
     form = form or (Path(output).suffix.lstrip(".").lower() if alone and output else "") or "csv"
-    how = How(
-        form, joints, margin or 0.0, context or 0.0, min_length or 0.0, mirror, resample, in_place, split,
-        _shares_of(shares), seed, balance, per_class, distinct,
-    )  # fmt: skip
+    how = clips.how(form, joints)
     if alone:
         _export_take(open_for_reading(store, at), what.takes[0], how, output, as_json)
     elif output is None:

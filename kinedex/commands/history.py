@@ -10,8 +10,8 @@ from typing import Annotated
 import typer
 
 from kinedex.commands.app import MAINTAIN, command, group
-from kinedex.commands.options import FormatOption, JsonOption, OutputOption, StorePath
-from kinedex.commands.output import print_json, print_message, print_path, show_table
+from kinedex.commands.options import JsonOption, Output, StorePath
+from kinedex.commands.output import print_json, print_message, print_path
 from kinedex.ops.errors import KinedexError, did_you_mean
 from kinedex.ops.wording import visible
 
@@ -27,8 +27,8 @@ def list_(
     store: StorePath,
     pipeline: Annotated[str | None, typer.Option(metavar="NAME", help="Only runs of this pipeline.")] = None,
     last: Annotated[int | None, typer.Option(min=1, metavar="N", help="Only the last N of them.")] = None,
-    form: FormatOption = "table",
-    output: OutputOption = None,
+    *,
+    output: Output,
     as_json: JsonOption = False,
 ) -> None:
     """List the pipeline runs of a store and what each changed."""
@@ -45,7 +45,7 @@ def list_(
     if as_json:
         print_json({"store": store, "runs": table})
         return
-    show_table(table, form, output)
+    output.show(table)
     for file, problem in history_problems(store):
         typer.echo(visible(f"{file}: {problem}; `kinedex verify` reports the way out"), err=True)
     if len(shown) < len(fitting):

@@ -1,24 +1,21 @@
-"""Commands about labels: files are exported, read and compared; a store keeps, changes and lists labels of people."""
+"""Commands about labels in files (export, read, diff) and in a store (import to reject)."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from kinedex.commands.app import ASK, LEFT_OUT, command, group
-from kinedex.commands.options import AtOption, FormatOption, JsonOption, OutputOption, StorePath, WhereOption
-from kinedex.commands.output import print_json, print_message, show_table
-from kinedex.commands.store_access import open_for_reading
-from kinedex.ops.errors import KinedexError
+from kinedex.commands.app import ASK, LEFT_OUT, OptionGroup, command, group
+from kinedex.commands.options import AtOption, JsonOption, Output, StorePath, WhereOption, open_for_reading
+from kinedex.commands.output import print_json, print_message
+from kinedex.ops.errors import KinedexError, did_you_mean
 from kinedex.ops.wording import visible
 
 if TYPE_CHECKING:
-    import polars as pl
-    import pyarrow as pa
-
     from kinedex.pipelines.labels.decisions import Recorded
     from kinedex.pipelines.labels.selection import Selection
     from kinedex.storage.formats.labels.formats import Written
@@ -36,6 +33,52 @@ AnnotatedBy = Annotated[
         help="PIPELINE, PIPELINE/STAGE or run; the current pipeline unless given.",
     ),
 ]
+AnnotatorOption = Annotated[str | None, typer.Option("--annotator", metavar="NAME", help="Person who decides.")]
+
+
+@dataclass(frozen=True)
+class Author(OptionGroup):
+    """The person who decides about labels, and a remark on them."""
+
+    annotator: AnnotatorOption = None
+    note: Annotated[str | None, typer.Option("--note", metavar="TEXT", help="Remark on these labels.")] = None
+
+
+@dataclass(frozen=True)
+class LabelFilter(OptionGroup):
+    """The criteria by which labels or annotations of a store are chosen."""
+
+    take: Annotated[list[str] | None, typer.Option("--take", help="Only this take; may be given several times.")] = None
+    name: Annotated[
+        list[str] | None, typer.Option("--class", help="Only this class or subclass; may be given several times.")
+    ] = None
+    start: Annotated[
+        str | None, typer.Option("--start", help="Only what ends after this frame (45) or time (1.5s) of the take.")
+    ] = None
+    stop: Annotated[str | None, typer.Option("--stop", help="Only what begins before this frame or time.")] = None
+    where: Annotated[str | None, typer.Option("--where", help="SQL filter over their columns.")] = None
+    rows: Annotated[
+        Path | None,
+        typer.Option(
+            "--rows", metavar="FILE", help="Only rows of this file (.csv, .json, .parquet): take, class, start, stop."
+        ),
+    ] = None
+    every: Annotated[bool, typer.Option("--all", help="All of them, where nothing else is chosen.")] = False
+
+    def selection(self, opened: Store, *, every: bool = False) -> Selection:
+        """Return what the options choose; times need one take, whose frames they count."""
+        from kinedex.pipelines.labels.selection import Selection
+        from kinedex.pipelines.templates.stored_templates import clip_range
+
+        first = last = None
+        if self.start is not None or self.stop is not None:
+            if self.take is None or len(self.take) != 1:
+                raise typer.BadParameter("--start and --stop are frames or times of one take; name it with --take")
+            edges = clip_range(opened, self.take[0], self.start, self.stop)
+            first = edges[0] if self.start is not None else None
+            last = edges[1] if self.stop is not None else None
+        takes, classes = tuple(self.take or ()), tuple(self.name or ())
+        return Selection(takes, classes, first, last, self.where, self.rows, every or self.every)
 
 
 @command(of=labels)
@@ -141,8 +184,8 @@ def read(
     files: Annotated[
         list[Path], typer.Argument(metavar="FILE...", help="Label files: .csv, .json, .eaf, .vtt or .txt.")
     ],
-    form: FormatOption = "table",
-    output: OutputOption = None,
+    *,
+    output: Output,
     as_json: JsonOption = False,
 ) -> None:
     """Show the segments of label files as they are read for ground truth."""
@@ -175,7 +218,7 @@ def read(
     if as_json:
         print_json({"files": files, "segments": table})
     else:
-        show_table(table, form, output)
+        output.show(table)
 
 
 @command(of=labels)
@@ -187,8 +230,8 @@ def diff(
         typer.Option(metavar="STORE", help="Show frames of this store, as `labels list` does."),
     ] = None,
     every: Annotated[bool, typer.Option("--all", help="Show segments that are the same, too.")] = False,
-    form: FormatOption = "table",
-    output: OutputOption = None,
+    *,
+    output: Output,
     as_json: JsonOption = False,
 ) -> None:
     """Show which segments of label files a person changed.
@@ -197,7 +240,7 @@ def diff(
     """
     from kinedex.pipelines.labels.label_files import label_differences
 
-    found = label_differences(before, after, None if store is None else open_for_reading(store, None), every=every)
+    found = label_differences(before, after, None if store is None else open_for_reading(store), every=every)
     if as_json:
         lost = [one.as_json() for one in found.unmatched]
         known = {"differences": found.rows, "remarks": found.remarks, "unmatched_labels": lost}
@@ -205,31 +248,11 @@ def diff(
         raise typer.Exit(LEFT_OUT if lost else 0)
     for remark in found.remarks:
         typer.echo(visible(remark), err=True)
-    show_table(found.rows, form, output)
-    if found.unit == "source frames" and found.rows.num_rows and form == "table" and output is None:
+    output.show(found.rows)
+    if found.unit == "source frames" and found.rows.num_rows and output.is_plain:
         typer.echo("frames of source files; --store STORE shows those of the store, as `labels list` does", err=True)
     if found.unmatched:
         raise typer.Exit(LEFT_OUT)
-
-
-AnnotatorOption = Annotated[str | None, typer.Option("--annotator", metavar="NAME", help="Person who decides.")]
-NoteOption = Annotated[str | None, typer.Option("--note", metavar="TEXT", help="Remark on these labels.")]
-TakeOption = Annotated[list[str] | None, typer.Option("--take", help="Only this take; may be given several times.")]
-ClassOption = Annotated[
-    list[str] | None, typer.Option("--class", help="Only this class or subclass; may be given several times.")
-]
-StartOption = Annotated[
-    str | None, typer.Option("--start", help="Only what ends after this frame (45) or time (1.5s) of the take.")
-]
-StopOption = Annotated[str | None, typer.Option("--stop", help="Only what begins before this frame or time.")]
-RowsOption = Annotated[
-    Path | None,
-    typer.Option(
-        "--rows", metavar="FILE", help="Only rows of this file (.csv, .json, .parquet): take, class, start, stop."
-    ),
-]
-FilterOption = Annotated[str | None, typer.Option("--where", help="SQL filter over their columns.")]
-AllOption = Annotated[bool, typer.Option("--all", help="All of them, where nothing else is chosen.")]
 
 
 @command(of=labels, name="import")
@@ -248,8 +271,8 @@ def import_(
         ),
     ] = None,
     stage: AnnotatedBy = None,
-    annotator: AnnotatorOption = None,
-    note: NoteOption = None,
+    *,
+    by: Author,
     as_json: JsonOption = False,
 ) -> None:
     """Keep the segments of label files as labels."""
@@ -258,9 +281,7 @@ def import_(
 
     if corrects not in (None, "annotations", "labels"):
         raise typer.BadParameter(f"--corrects {corrects}: expected annotations or labels")
-    done = import_labels(
-        open_for_reading(store, None), label_files(files), corrects, stage, annotator=annotator, note=note
-    )
+    done = import_labels(open_for_reading(store), label_files(files), corrects, stage, **asdict(by))
     _report(store, done, as_json)
 
 
@@ -276,19 +297,19 @@ def add(
     confidence: Annotated[
         float | None, typer.Option(min=0, max=1, help="Confidence of the person, from 0 to 1.")
     ] = None,
-    annotator: AnnotatorOption = None,
-    note: NoteOption = None,
+    *,
+    by: Author,
     as_json: JsonOption = False,
 ) -> None:
     """Label an interval of a take."""
     from kinedex.pipelines.labels.decisions import record
     from kinedex.pipelines.templates.stored_templates import clip_range
 
-    opened = open_for_reading(store, None)
+    opened = open_for_reading(store)
     first, last = clip_range(opened, take, start, stop)
     row = {"take": take, "class": name, "start": first, "stop": last, "origin": "drawn", "limb": limb}
     row |= {"verdict": "negative" if negative else "positive", "confidence": confidence}
-    _report(store, record(opened, [{**row, "annotator": annotator, "note": note}]), as_json)
+    _report(store, record(opened, [{**row, **asdict(by)}]), as_json)
 
 
 @command(of=labels)
@@ -307,7 +328,7 @@ def change(
     from kinedex.pipelines.labels.edits import change_label
     from kinedex.pipelines.templates.stored_templates import clip_range
 
-    opened = open_for_reading(store, None)
+    opened = open_for_reading(store)
     if verdict not in (None, "positive", "negative"):
         raise typer.BadParameter(f"--verdict {verdict}: expected positive or negative")
     values: dict[str, str | int | None] = {"class": name, "verdict": verdict}
@@ -324,42 +345,32 @@ def remove(
     ids: Annotated[
         list[str] | None, typer.Argument(metavar="[ID...]", help="Ids of labels, or their beginnings.")
     ] = None,
-    take: TakeOption = None,
-    name: ClassOption = None,
-    start: StartOption = None,
-    stop: StopOption = None,
-    where: FilterOption = None,
-    rows: RowsOption = None,
-    every: AllOption = False,
-    annotator: AnnotatorOption = None,
-    note: NoteOption = None,
+    *,
+    chosen_by: LabelFilter,
+    by: Author,
     as_json: JsonOption = False,
 ) -> None:
     """Take labels back; they stay in the history."""
     from kinedex.pipelines.labels.decisions import labels_by_id, withdraw
     from kinedex.pipelines.labels.selection import selected
 
-    opened = open_for_reading(store, None)
-    chosen = _selection(opened, take, name, start, stop, where, rows, every)
+    opened = open_for_reading(store)
+    chosen = chosen_by.selection(opened)
     if bool(ids) != chosen.is_empty:
         raise typer.BadParameter(
             "name the labels either by ids or by options such as --take and --class; --all for all"
         )
     found = labels_by_id(opened, ids) if ids else selected(opened.labels(), chosen, "label")
-    _report(store, withdraw(opened, found, annotator=annotator, note=note), as_json)
+    _report(store, withdraw(opened, found, **asdict(by)), as_json)
 
 
 @command(of=labels, name="list")
 def list_(
     store: StorePath,
-    take: TakeOption = None,
-    name: ClassOption = None,
-    start: StartOption = None,
-    stop: StopOption = None,
-    where: FilterOption = None,
+    *,
+    chosen_by: Annotated[LabelFilter, "take name start stop where"],
     history: Annotated[bool, typer.Option("--history", help="Show rows that others replace, too.")] = False,
-    form: FormatOption = "table",
-    output: OutputOption = None,
+    output: Output,
     as_json: JsonOption = False,
     at: AtOption = None,
 ) -> None:
@@ -370,94 +381,67 @@ def list_(
     opened = open_for_reading(store, at)
     table = shown_labels(opened)
     table = table if history else table.filter(table.column("current")).drop_columns(["current"])
-    chosen = _selection(opened, take, name, start, stop, where, None, True)
-    found = selected(table, chosen, "label").to_arrow().cast(table.schema)
+    found = selected(table, chosen_by.selection(opened, every=True), "label").to_arrow().cast(table.schema)
     if as_json:
         print_json({"store": store, "labels": found})
-    elif form == "table" and output is None:
+    elif output.is_plain:
         few = ["take", "class", "start", "stop", "limb", "verdict", "origin", "annotator", "note", "id"]
-        show_table(found.select([*few, *(["current"] if history else [])]), form, output)
+        output.show(found.select([*few, *(["current"] if history else [])]))
         if not found.num_rows:
             print_message(f"no label of {table.num_rows:,} fits" if table.num_rows else "the store has no labels")
     else:
-        show_table(found, form, output)
+        output.show(found)
 
 
-def _decision(word: str, accepted: bool, about: str) -> None:
-    """Add the command that accepts or rejects annotations."""
-
-    def decide_on(
-        store: StorePath,
-        take: TakeOption = None,
-        name: ClassOption = None,
-        start: StartOption = None,
-        stop: StopOption = None,
-        where: FilterOption = None,
-        rows: RowsOption = None,
-        every: AllOption = False,
-        stage: AnnotatedBy = None,
-        annotator: AnnotatorOption = None,
-        note: NoteOption = None,
-        as_json: JsonOption = False,
-    ) -> None:
-        from kinedex.pipelines.labels.decisions import annotations_of, decide
-
-        opened = open_for_reading(store, None)
-        chosen = _selection(opened, take, name, start, stop, where, rows, every)
-        if chosen.is_empty:
-            raise typer.BadParameter("choose annotations by options such as --take and --class; --all for all of them")
-        source, annotations = annotations_of(opened, stage)
-        found = _chosen(annotations, chosen, source, opened.path)
-        done = decide(opened, found, accept=accepted, source=source, annotator=annotator, note=note)
-        _report(opened.path, done, as_json)
-
-    decide_on.__name__, decide_on.__doc__ = word, about
-    command(of=labels)(decide_on)
+@command(of=labels)
+def accept(
+    store: StorePath,
+    *,
+    chosen_by: LabelFilter,
+    stage: AnnotatedBy = None,
+    by: Author,
+    as_json: JsonOption = False,
+) -> None:
+    """Make annotations labels."""
+    _decide(store, chosen_by, stage, by, accepted=True, as_json=as_json)
 
 
-_decision("accept", True, "Make annotations labels.")
-_decision("reject", False, "Make annotations negative labels: examples of what a class is not.")
+@command(of=labels)
+def reject(
+    store: StorePath,
+    *,
+    chosen_by: LabelFilter,
+    stage: AnnotatedBy = None,
+    by: Author,
+    as_json: JsonOption = False,
+) -> None:
+    """Make annotations negative labels: examples of what a class is not."""
+    _decide(store, chosen_by, stage, by, accepted=False, as_json=as_json)
 
 
-def _chosen(annotations: pa.Table, chosen: Selection, source: str, store: Path) -> pl.DataFrame:
-    """Return the annotations that options choose; raise a KinedexError if a name is unknown, or there are none."""
-    from kinedex.ops.errors import did_you_mean
+def _decide(
+    store: Path, chosen_by: LabelFilter, stage: str | None, by: Author, *, accepted: bool, as_json: bool
+) -> None:
+    from kinedex.pipelines.labels.decisions import annotations_of, decide
     from kinedex.pipelines.labels.selection import selected
 
+    opened = open_for_reading(store)
+    chosen = chosen_by.selection(opened)
+    if chosen.is_empty:
+        raise typer.BadParameter("choose annotations by options such as --take and --class; --all for all of them")
+    source, annotations = annotations_of(opened, stage)
     for noun, columns, names in (("take", ["take"], chosen.takes), ("class", ["class", "subclass"], chosen.classes)):
         known = {value for column in columns for value in annotations.column(column).unique().to_pylist()} - {None}
         for name in names:
             if name not in known:
                 raise KinedexError(
-                    f"{store}: no annotation of {source} has the {noun} '{name}'{did_you_mean(name, known)}"
+                    f"{opened.path}: no annotation of {source} has the {noun} '{name}'{did_you_mean(name, known)}"
                 )
     found = selected(annotations, chosen, "annotation")
     if not found.height:
-        raise KinedexError(f"{store}: no annotation of {source} is chosen by these options")
-    return found
-
-
-def _selection(
-    opened: Store,
-    takes: list[str] | None,
-    classes: list[str] | None,
-    start: str | None,
-    stop: str | None,
-    where: str | None,
-    rows: Path | None,
-    every: bool,
-) -> Selection:
-    """Return what the options choose; times need one take, whose frames they count."""
-    from kinedex.pipelines.labels.selection import Selection
-    from kinedex.pipelines.templates.stored_templates import clip_range
-
-    first = last = None
-    if start is not None or stop is not None:
-        if takes is None or len(takes) != 1:
-            raise typer.BadParameter("--start and --stop are frames or times of one take; name it with --take")
-        edges = clip_range(opened, takes[0], start, stop)
-        first, last = (edges[0] if start is not None else None), (edges[1] if stop is not None else None)
-    return Selection(tuple(takes or ()), tuple(classes or ()), first, last, where, rows, every)
+        raise KinedexError(f"{opened.path}: no annotation of {source} is chosen by these options")
+    done = decide(opened, found, accept=accepted, source=source, **asdict(by))
+    _report(opened.path, done, as_json)
 
 
 def _report(store: Path, done: Recorded, as_json: bool) -> None:

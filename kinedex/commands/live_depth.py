@@ -8,7 +8,7 @@ import threading
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
-from typing import Literal
+from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 import typer
@@ -23,24 +23,27 @@ from kinedex.pipelines.reconstruction.live import LiveRecording, LiveTracker, pu
 from kinedex.pipelines.recordings.runs import COMPILING, is_compiled, renew_index
 from kinedex.storage.store.store import open_store
 
+if TYPE_CHECKING:
+    from kinedex.commands.tracking import Follow
+
 PATIENCE_S = 600.0
 """Seconds to wait for another writer of the store before a take is saved, unless --wait is given."""
 
 
-def follow_and_save(
-    store: Path, folder: Path, camera: Path, background: Path | None, body: str, form: str, idle: float | None,
-    wait: float | None, as_json: bool,
-) -> None:  # fmt: skip
+def follow_and_save(store: Path, follow: Follow, body: str, form: str, wait: float | None, as_json: bool) -> None:
     """Reconstruct each frame that is written into a folder, print it, and save all as a take at the end."""
+    folder, camera = follow.follow, follow.camera
+    assert folder is not None
+    assert camera is not None
     if not is_compiled(near_maps):
         print_message(COMPILING)
-    tracker = LiveTracker.open(store, camera, _live_body(body), background, None, _form(form), keep=True)
+    tracker = LiveTracker.open(store, camera, _live_body(body), follow.background, None, _form(form), keep=True)
     live = LiveRecording(tracker, folder, camera)
     size = "of a size that is estimated in the first second" if tracker.is_measuring else _height(tracker)
     print_message(f"following {folder}: a person {size}; Ctrl-C ends and saves")
     try:
         with _ended_by_signals():
-            _follow(live, idle, as_json)
+            _follow(live, follow.idle, as_json)
     except KeyboardInterrupt:
         pass
     finally:

@@ -1,4 +1,4 @@
-"""Commands that look after files and stores: inspect, verify, repair, upgrade, versions, gc, version."""
+"""Commands that look after files and stores: duplicates, inspect, verify, repair, upgrade, versions, gc, version."""
 
 from __future__ import annotations
 
@@ -15,19 +15,59 @@ from kinedex.commands.options import (
     ExecutorOption,
     JsonOption,
     OlderOption,
+    Output,
     RateOption,
     StorePath,
     WaitOption,
     WorkersOption,
+    open_for_reading,
     wait_of,
 )
-from kinedex.commands.output import print_json
+from kinedex.commands.output import print_json, print_message, show_table
 from kinedex.ops.errors import KinedexError, SourceError
 from kinedex.ops.wording import counted, visible, visible_lines
 
 if TYPE_CHECKING:
+    import pyarrow as pa
+
     from kinedex.pipelines.inspection.inspection import Inspection
     from kinedex.storage.store.verification import Finding
+
+
+@command(MAINTAIN)
+def duplicates(store: StorePath, *, output: Output, as_json: JsonOption = False) -> None:
+    """List takes that hold the same file or the same motion.
+
+    Motion is found that was cut, moved, turned, mirrored, or stored at another rate. The rows are kept in the store as
+    the view `duplicates`.
+    """
+    from kinedex.console.terminal import Terminal
+    from kinedex.pipelines.engine.run_id import new_run_id
+    from kinedex.pipelines.inspection.duplicates import find_duplicates, save_duplicates
+
+    opened = open_for_reading(store, "newest")
+    found = find_duplicates(opened, Terminal())
+    takes = len(opened.take_ids)
+    opened.close()
+    save_duplicates(opened, found, new_run_id())
+    if as_json:
+        print_json({"store": store, "takes": takes, "duplicates": found})
+        return
+    output.show(found.drop_columns(["take_id", "of_take_id", "start", "stop"]) if output.is_plain else found)
+    if output.is_plain:
+        print_message(_duplicates_line(found, takes))
+
+
+def _duplicates_line(found: pa.Table, takes: int) -> str:
+    """Return the line below the table: takes by kind."""
+    rows = list(zip(*(found.column(name).to_pylist() for name in ("take", "same", "share")), strict=True))
+    files = {take for take, same, _ in rows if same == "file"}
+    whole = {take for take, same, share in rows if same == "motion" and share > 0.9} - files
+    parts = {take for take, *_ in rows} - files - whole
+    return (
+        f"of {counted(takes, 'take')}, {len(files):,} come from a copy of a file, {len(whole):,} hold the motion of "
+        f"another take, {len(parts):,} have a part in common with one"
+    )
 
 
 @command(MAINTAIN)
@@ -82,19 +122,17 @@ def inspect(
     from kinedex.storage.formats.motion.reader import ReadSettings
 
     found = inspect_file(file, skeleton, source, ReadSettings(None, rate, fill_gap_frames, body_model), person)
-    drawn = picture is not None and write_picture(found, picture)
-    if drawn:
-        found.add("picture", str(picture))
-    elif picture is not None:
-        found.add("picture", "none, because no places of joints are known")
-    if as_json and found.fault is None:
-        facts = [{"name": name, "value": text} for name, text in found.lines]
-        print_json({"file": file, "facts": facts, "features": found.features, "picture": picture if drawn else None,
-                    "sensors": None})  # fmt: skip
-    elif not as_json:
+    drawn = picture if picture is not None and write_picture(found, picture) else None
+    if picture is not None:
+        found.add("picture", str(drawn or "none, because no places of joints are known"))
+    if not as_json:
         _show_facts(found, features)
+    elif found.fault is None:
+        _print_facts(file, found, features=found.features, picture=drawn)
+    if found.fault is not None and file.suffix.lower() in (".csv", ".tsv"):
+        raise KinedexError(f"{found.fault}\n  if it holds readings of inertial sensors: {_NAME_COLUMNS}")
     if found.fault is not None:
-        raise _fault(file, found.fault)
+        raise found.fault
 
 
 def _show_facts(found: Inspection, features: bool = False) -> None:
@@ -108,6 +146,12 @@ def _show_facts(found: Inspection, features: bool = False) -> None:
         console.print(Shown(found.features))
 
 
+def _print_facts(file: Path, found: Inspection, **more: object) -> None:
+    """Print the facts about a file as a JSON object."""
+    facts = [{"name": name, "value": text} for name, text in found.lines]
+    print_json({"file": file, "facts": facts, "features": None, "picture": None, "sensors": None, **more})
+
+
 _SENSOR_ENDINGS = (".txt", ".parquet", ".h5", ".hdf5")
 """Endings that files of sensors have, and motion files have not."""
 
@@ -117,34 +161,21 @@ _NAME_COLUMNS = (
 )
 
 
-def _fault(file: Path, fault: KinedexError) -> KinedexError:
-    """Return the error for a file without motion; for a table, with a hint that it may hold sensor readings."""
-    if file.suffix.lower() in (".csv", ".tsv"):
-        return KinedexError(f"{fault}\n  if it holds readings of inertial sensors: {_NAME_COLUMNS}")
-    return fault
-
-
-def _unknown_sensor_file(file: Path) -> KinedexError:
-    """Return an error about a file that no reader of sensors recognises."""
-    from kinedex.storage.formats.imu.recording import FORMATS, beginning
-
-    beginning(file)
-    known = ", ".join(form.title for form in FORMATS.values())
-    return SourceError(
-        file, f"holds no readings of inertial sensors in a form that is known ({known}); {_NAME_COLUMNS}"
-    )
-
-
 def _is_sensor_file(file: Path) -> bool:
     """Return whether a file holds sensor readings; raise an error if it can hold neither these nor motion."""
     ending = file.suffix.lower()
     if not file.is_file() or ending not in (*_SENSOR_ENDINGS, ".csv", ".tsv"):
         return False
-    from kinedex.storage.formats.imu.recording import is_sensor_file
+    from kinedex.storage.formats.imu.recording import FORMATS, beginning, is_sensor_file
 
-    if not is_sensor_file(file) and ending in _SENSOR_ENDINGS:
-        raise _unknown_sensor_file(file)
-    return is_sensor_file(file)
+    known = is_sensor_file(file)
+    if not known and ending in _SENSOR_ENDINGS:
+        beginning(file)
+        forms = ", ".join(form.title for form in FORMATS.values())
+        raise SourceError(
+            file, f"holds no readings of inertial sensors in a form that is known ({forms}); {_NAME_COLUMNS}"
+        )
+    return known
 
 
 def _inspect_sensors(file: Path, sensors: str | None, rate_hz: float | None, as_json: bool) -> None:
@@ -155,9 +186,7 @@ def _inspect_sensors(file: Path, sensors: str | None, rate_hz: float | None, as_
     chosen = SensorSet() if sensors is None else load_sensor_set(sensors)
     found, inspected = inspect_sensor_file(file, chosen, rate_hz)
     if as_json:
-        listed = [{"name": name, "value": text} for name, text in found.lines]
-        documents = [one.document() for one in inspected]
-        print_json({"file": file, "facts": listed, "features": None, "picture": None, "sensors": documents})
+        _print_facts(file, found, sensors=[one.document() for one in inspected])
     else:
         _show_facts(found)
 
@@ -173,8 +202,7 @@ def _inspect_depth(file: Path, camera: Path, background: Path | None, picture: P
         write_frame_picture(found, picture)
         facts.add("picture", str(picture))
     if as_json:
-        listed = [{"name": name, "value": text} for name, text in facts.lines]
-        print_json({"file": file, "facts": listed, "features": None, "picture": picture, "sensors": None})
+        _print_facts(file, facts, picture=picture)
     else:
         _show_facts(facts)
 
@@ -297,14 +325,13 @@ def upgrade(
 @command(MAINTAIN)
 def versions(store: StorePath, as_json: JsonOption = False) -> None:
     """List the versions of a store and what each changed."""
-    from kinedex.commands.output import show_table
     from kinedex.storage.store.version_changes import list_versions, versions_table
 
     found = list_versions(store)
     if as_json:
         print_json({"store": store, "versions": [asdict(version) for version in found]})
         return
-    show_table(versions_table(found), "table", None)
+    show_table(versions_table(found))
 
 
 @command(MAINTAIN)
@@ -339,10 +366,8 @@ def version(as_json: JsonOption = False) -> None:
     """Print the versions of kinedex and its libraries, and its path."""
     from importlib.metadata import version as version_of
 
-    from kinedex.commands.installation import installed_package, running_package
-
     versions = {name: version_of(name) for name in ("kinedex", "numpy", "numba", "pyarrow", "duckdb", "polars")}
-    path, installed = running_package(), installed_package()
+    path, installed = Path(__file__).parents[1].resolve(), _installed_package()
     if as_json:
         print_json({"versions": versions, "path": path, "installed_path": installed})
         return
@@ -356,3 +381,23 @@ def version(as_json: JsonOption = False) -> None:
             "`python -m kinedex` that of the folder it starts in.",
             file=sys.stderr,
         )
+
+
+def _installed_package() -> Path | None:
+    """Return the folder of the installed package; for an editable install, that of its checkout; None without one."""
+    import json
+    from importlib.metadata import PackageNotFoundError, distribution
+    from urllib.parse import urlparse
+    from urllib.request import url2pathname
+
+    try:
+        found = distribution("kinedex")
+    except PackageNotFoundError:
+        return None
+    try:
+        source = json.loads(found.read_text("direct_url.json") or "{}")
+    except json.JSONDecodeError:
+        source = {}
+    if source.get("dir_info", {}).get("editable"):
+        return Path(url2pathname(urlparse(source["url"]).path)).resolve() / "kinedex"
+    return Path(str(found.locate_file("kinedex"))).resolve()

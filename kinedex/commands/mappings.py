@@ -8,7 +8,7 @@ from typing import Annotated
 import typer
 
 from kinedex.commands.app import MAINTAIN, command, group
-from kinedex.commands.options import JsonOption, StorePath, WaitOption, wait_of
+from kinedex.commands.options import JsonOption, StorePath, WaitOption, writer_of
 from kinedex.commands.output import print_json
 from kinedex.ops.errors import KinedexError, did_you_mean
 from kinedex.ops.wording import visible
@@ -63,11 +63,10 @@ def add(
     """
     from kinedex.catalog.skeletons.mappings import own_files, parse_own
     from kinedex.storage.store.store import open_store
-    from kinedex.storage.store.writer import StoreWriter
 
     opened = open_store(store, at="newest")
     found = [(parse_own(file, opened.feature_set.joints), file) for file in own_files(files)]
-    with StoreWriter.open(store, opened.feature_set, opened.rate_hz, wait_of(wait)) as writer:
+    with writer_of(opened, wait) as writer:
         for own, file in found:
             writer.put_mapping(own.name, file.text)
         writer.commit()
@@ -113,10 +112,9 @@ def remove(
     Takes that were read with it stay as they are until the next ingest.
     """
     from kinedex.storage.store.store import open_store
-    from kinedex.storage.store.writer import StoreWriter
 
     opened = open_store(store, at="newest")
-    with StoreWriter.open(store, opened.feature_set, opened.rate_hz, wait_of(wait)) as writer:
+    with writer_of(opened, wait) as writer:
         if name not in writer.manifest.mappings:
             known = writer.manifest.mappings
             raise KinedexError(f"{store}: it keeps no mapping '{name}'{did_you_mean(name, known)}")

@@ -1,20 +1,29 @@
-"""Arguments and options that several commands have; each has one meaning everywhere."""
+"""Arguments and options that several commands have, each with one meaning everywhere, and what they open and run."""
 
 from __future__ import annotations
 
 import re
+import sys
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, cast
+from types import ModuleType
+from typing import TYPE_CHECKING, Annotated, Literal, cast
 
 import typer
 
-from kinedex.commands.output import print_message
+from kinedex.commands.app import OptionGroup
+from kinedex.commands.output import print_message, show_table
 from kinedex.ops.errors import KinedexError
-from kinedex.reports.motion_pages import FIGURES as FIGURES
 
 if TYPE_CHECKING:
+    import pyarrow as pa
+
     from kinedex.pipelines.engine.config import KnownFailures
+    from kinedex.pipelines.engine.runner import Outcome
     from kinedex.storage.lock import Wait
+    from kinedex.storage.store.store import Store
+    from kinedex.storage.store.writer import StoreWriter
 
 StorePath = Annotated[Path, typer.Argument(metavar="STORE", help="Directory of the store.")]
 StoreOption = Annotated[
@@ -80,28 +89,14 @@ StageOption = Annotated[
     str | None,
     typer.Option("--stage", metavar="STAGE", help="Stage that learned the templates: PIPELINE/STAGE, or PIPELINE."),
 ]
+StartArgument = Annotated[str | None, typer.Argument(help="First frame (45) or seconds (1.5s); else the take's first.")]
+StopArgument = Annotated[str | None, typer.Argument(help="Frame after the last, or seconds; else the end.")]
 FormatOption = Annotated[str, typer.Option("--format", help="table, csv, json or parquet.")]
 OutputOption = Annotated[
     Path | None,
     typer.Option(
         "--output", "-o", help="Write to this file; its ending (.csv, .json, .parquet) is the format unless given."
     ),
-]
-HitsOutputOption = Annotated[
-    Path | None,
-    typer.Option(
-        "--output",
-        "-o",
-        help="Write to this file; its ending (.csv, .json, .parquet) is the format unless given; .png makes a picture "
-        "with the frames of each hit.",
-    ),
-]
-HtmlOption = Annotated[
-    Path | None,
-    typer.Option("--html", metavar="FILE", help="Write a page with a moving figure of each; it needs no network."),
-]
-FiguresOption = Annotated[
-    int, typer.Option("--figures", min=1, metavar="N", help="Largest number of figures of a page or picture.")
 ]
 
 
@@ -166,16 +161,152 @@ def assignments_of(pairs: list[str] | None) -> dict[str, str]:
     return result
 
 
-def known_failures_of(word: str | None) -> KnownFailures | None:
-    """Return the value of `--known-failures`, None if absent; raise BadParameter for an unknown value."""
-    if word not in (None, "report", "remember"):
-        raise typer.BadParameter(f"--known-failures {word}: expected remember or report")
-    return cast("KnownFailures | None", word)
-
-
 def interval_of(text: str) -> tuple[int, int]:
     """Return the frames of an interval such as 100:160."""
     start, colon, stop = text.strip().partition(":")
     if not (colon and start.isdecimal() and stop.isdecimal() and int(start) < int(stop)):
         raise typer.BadParameter(f"--frames {text}: expected the first frame and the one after the last, as 0:60")
     return int(start), int(stop)
+
+
+@dataclass(frozen=True)
+class Output(OptionGroup):
+    """The format in which a command shows its table, and the file that it writes it to."""
+
+    form: FormatOption = "table"
+    output: OutputOption = None
+
+    @property
+    def is_plain(self) -> bool:
+        """Return whether the table is shown to people, on the terminal or in a pipe."""
+        return self.form == "table" and self.output is None
+
+    def most(self, limit: int | None) -> int | None:
+        """Return the largest number of rows for the number of `--limit`; None for all."""
+        return (ROWS if limit is None and self.is_plain and sys.stdout.isatty() else limit) or None
+
+    def show(self, table: pa.Table, *, paged: bool = False) -> None:
+        """Print a table, or write it to the file."""
+        show_table(table, self.form, self.output, paged=paged)
+
+
+ROWS = 200
+"""Number of rows that a terminal shows by default; a line below gives the number of further ones."""
+
+
+@dataclass(frozen=True)
+class RunOptions(OptionGroup):
+    """The settings of a pipeline run, and how it runs."""
+
+    assign: SetOption = None
+    executor: ExecutorOption = "processes"
+    workers: WorkersOption = None
+    scheduler: SchedulerOption = None
+    force: ForceOption = None
+    max_memory: MaxMemoryOption = None
+    accept: AcceptOption = False
+    known_failures: KnownFailuresOption = None
+    wait: WaitOption = None
+
+    def run(
+        self,
+        pipeline: str,
+        store: Path,
+        settings: Mapping[str, str] | None = None,
+        fixed: Mapping[str, str] | None = None,
+    ) -> Outcome:
+        """Run a pipeline, and print its progress.
+
+        Parameters
+        ----------
+        pipeline : str
+            Name or file of the pipeline.
+        store : Path
+            Directory of the store.
+        settings : mapping of str to str, optional
+            Settings by options of the command, which `--set` overrides.
+        fixed : mapping of str to str, optional
+            Settings by options of the command, which override `--set`.
+        """
+        from kinedex.console.terminal import Terminal
+        from kinedex.pipelines.engine.runner import run_pipeline
+
+        assignments = {**(settings or {}), **assignments_of(self.assign), **(fixed or {})}
+        if self.max_memory is not None:
+            assignments["ingest.max_memory"] = self.max_memory
+        if self.known_failures not in (None, "report", "remember"):
+            raise typer.BadParameter(f"--known-failures {self.known_failures}: expected remember or report")
+        return run_pipeline(
+            pipeline, store, assignments=assignments, executor=self.executor, workers=self.workers,
+            scheduler=self.scheduler, force=frozenset(self.force or ()), terminal=Terminal(),
+            wait_seconds=self.wait or 0.0, accept=self.accept,
+            known_failures=cast("KnownFailures | None", self.known_failures),
+        )  # fmt: skip
+
+
+def open_for_reading(store: Path, at: str | None = None, files: Iterable[Path] = ()) -> Store:
+    """Open the version of a store that `--at` names, or else the newest that has its index.
+
+    If this is not the newest version, a line on standard error reports it.
+
+    Parameters
+    ----------
+    store : Path
+        Directory of the store.
+    at : str or None
+        Number of a version, or "newest".
+    files : iterable of Path, optional
+        Folders outside the store whose files SQL may read.
+
+    Raises
+    ------
+    KinedexError
+        There is no store or no such version, or the option holds no version.
+    """
+    from kinedex.console.terminal import is_quiet
+    from kinedex.storage.store.store import open_store
+
+    _leave_pandas_out()
+    if at is not None and at != "newest" and not at.isdecimal():
+        raise KinedexError(f"--at {at}: expected the number of a version, or newest")
+    version = int(at) if at is not None and at.isdecimal() else cast(Literal["newest"] | None, at)
+    opened = open_store(store, files, version)
+    shown, newest = opened.manifest.version, opened.newest_version
+    if at is None and shown != newest and not is_quiet():
+        typer.echo(
+            f"version {shown} of {store} is shown, the newest with its index; version {newest} is the newest: --at "
+            "newest shows it",
+            err=True,
+        )
+    return opened
+
+
+def _leave_pandas_out() -> None:
+    """Prevent PyArrow from importing pandas, which it does on the first conversion of a list, if it is installed.
+
+    That import takes as long as all others of a command. `to_pandas` of a table still imports it later.
+    """
+    if "pandas" in sys.modules:
+        return
+    import pyarrow as pa
+
+    absent = _NoPandas()
+    sys.meta_path.insert(0, absent)
+    try:
+        pa.array([])
+    finally:
+        sys.meta_path.remove(absent)
+
+
+class _NoPandas:
+    def find_spec(self, fullname: str, path: Sequence[str] | None, target: ModuleType | None = None) -> None:
+        """Raise ModuleNotFoundError for pandas."""
+        if fullname == "pandas":
+            raise ModuleNotFoundError(name=fullname)
+
+
+def writer_of(opened: Store, wait: float | None) -> StoreWriter:
+    """Return the writer of the store that was opened, after it has waited for another as `--wait` says."""
+    from kinedex.storage.store.writer import StoreWriter
+
+    return StoreWriter.open(opened.path, opened.feature_set, opened.rate_hz, wait_of(wait))

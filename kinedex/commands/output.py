@@ -40,19 +40,11 @@ def print_path(path: Path) -> None:
     print(visible(str(path)) if sys.stdout.isatty() else path)
 
 
-def is_for_people(form: str, output: Path | None) -> bool:
-    """Return whether `show_table` prints a formatted table on a terminal with these arguments."""
-    return form == "table" and output is None and sys.stdout.isatty()
-
-
 FEW = 10
 """Number of failures that the end of a run shows in full."""
 
-ROWS = 200
-"""Number of rows that a terminal shows by default; a line below gives the number of further ones."""
 
-
-def show_table(table: pa.Table, form: str, output: Path | None, *, paged: bool = False) -> None:
+def show_table(table: pa.Table, form: str = "table", output: Path | None = None, *, paged: bool = False) -> None:
     """Print a table, or write it to a file.
 
     Parameters
@@ -140,18 +132,18 @@ def show_outcome(outcome: Outcome, store: Path, as_json: bool = False, *, repeat
                 "metrics": _pooled_metrics(outcome),
             }
         )
-    console = make_console()
-    if not as_json and not outcome.ran:
-        console.print(
-            f"everything was done already: {counted(len(outcome.skipped), 'stage')}, nothing to do", style="bold"
-        )
-    if not as_json and outcome.report is not None:
-        console.print(f"report: {outcome.report}", style="bold", markup=False)
-    if not as_json:
+    else:
+        console = make_console()
+        if not outcome.ran:
+            console.print(
+                f"everything was done already: {counted(len(outcome.skipped), 'stage')}, nothing to do", style="bold"
+            )
+        if outcome.report is not None:
+            console.print(f"report: {outcome.report}", style="bold", markup=False)
         for line in _file_lines(outcome) if outcome.remembers else _failure_lines(outcome, store):
             console.print(visible_lines(line), markup=False)
-    if not as_json and repeat:
-        console.print(f"again, where something changed: {outcome.command}", markup=False)
+        if repeat:
+            console.print(f"again, where something changed: {outcome.command}", markup=False)
     if outcome.has_failures:
         raise typer.Exit(LEFT_OUT)
 

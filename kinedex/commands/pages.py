@@ -2,12 +2,17 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Annotated
 
+import typer
+
+from kinedex.commands.app import OptionGroup
+from kinedex.commands.options import Output
 from kinedex.commands.output import print_message, print_path
 from kinedex.ops.errors import KinedexError
+from kinedex.reports.motion_pages import FIGURES
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -16,34 +21,31 @@ if TYPE_CHECKING:
 
     from kinedex.pipelines.ranking.store_ranking import StoreRanking
     from kinedex.pipelines.templates.learning import SubclassTemplate
+    from kinedex.reports.motion_pages.hits import HitsPage
     from kinedex.storage.store.store import Store
 
 
-@dataclass
-class Pages:
-    """The page and the picture that a command was asked to write.
+@dataclass(frozen=True)
+class Pages(OptionGroup):
+    """The page that a command was asked to write."""
 
-    Parameters
-    ----------
-    html : Path or None
-        The file of the page.
-    output : Path or None
-        The file of `--output`, a picture if it ends in .png.
-    figures : int
-        Largest number of figures.
+    html: Annotated[
+        Path | None,
+        typer.Option("--html", metavar="FILE", help="Write a page with a moving figure of each; it needs no network."),
+    ] = None
+    figures: Annotated[
+        int, typer.Option("--figures", min=1, metavar="N", help="Largest number of figures of a page or picture.")
+    ] = FIGURES
+    amounts: list[str] = field(default_factory=list, init=False)
+    """The sentences about how many figures are shown."""
 
-    Raises
-    ------
-    KinedexError
-        The page does not end in .html, or its folder does not exist; this is checked before the search.
-    """
+    @property
+    def picture(self) -> Path | None:
+        """The path given by `--output` if it is a PNG file; else None."""
+        return None
 
-    html: Path | None
-    output: Path | None = None
-    figures: int = 0
-    amounts: list[str] = field(default_factory=list)
-
-    def __post_init__(self) -> None:
+    def check(self) -> None:
+        """Raise an error if the page does not end in .html or its folder does not exist, before the search begins."""
         if self.html is not None and self.html.suffix.lower() not in (".html", ".htm"):
             raise KinedexError(f"--html {self.html}: a page ends in .html, for instance {self.html.name}.html")
         for option, path in (("--html", self.html), ("--output", self.picture)):
@@ -51,43 +53,6 @@ class Pages:
                 raise KinedexError(
                     f"{option} {path}: the folder {path.parent} does not exist; make it, or name another"
                 )
-
-    @property
-    def picture(self) -> Path | None:
-        """The path given by `--output` if it is a PNG file; else None."""
-        return self.output if self.output is not None and self.output.suffix.lower() == ".png" else None
-
-    def write_ranking(
-        self,
-        store: Store,
-        found: StoreRanking,
-        example: tuple[str, int, int] | None,
-        tau: float,
-        kind: str,
-        stage: str | None,
-    ) -> None:
-        """Write the hits of a ranking to page and picture, or the nearest intervals if there is no hit."""
-        if self.html is None and self.picture is None:
-            return
-        from kinedex.reports.motion_pages.hits import write_ranking
-
-        hits = found.table()
-        hits = hits if hits.num_rows else found.nearest_table()
-        remarks = (*found.remarks, *found.misses(tau))
-        self.amounts.append(
-            write_ranking(
-                store, hits, self.html, self.picture, tau=tau, kind=kind, stage=stage, example=example,
-                remarks=remarks, most=self.figures,
-            )
-        )  # fmt: skip
-
-    def write_search(self, store: Store, hits: pa.Table, title: str, remarks: Sequence[str]) -> None:
-        """Write the hits of a search to page and picture."""
-        if self.html is None and self.picture is None:
-            return
-        from kinedex.reports.motion_pages.hits import write_search
-
-        self.amounts.append(write_search(store, hits, self.html, self.picture, title, remarks, self.figures))
 
     def write_template(self, store: Store, one: SubclassTemplate, delta: float) -> None:
         """Write the page of a template."""
@@ -109,3 +74,58 @@ class Pages:
             print_path(self.html)
         for amount in self.amounts:
             print_message(f"figures: {amount}")
+
+
+@dataclass(frozen=True)
+class HitsOutput(Pages, Output):
+    """The form and the file of a table of hits, and the page and the picture that show them."""
+
+    output: Annotated[
+        Path | None,
+        typer.Option(
+            "--output",
+            "-o",
+            help="Write to this file; its ending (.csv, .json, .parquet) is the format unless given; .png makes a "
+            "picture with the frames of each hit.",
+        ),
+    ] = None
+
+    @property
+    def picture(self) -> Path | None:
+        """The path given by `--output` if it is a PNG file; else None."""
+        return self.output if self.output is not None and self.output.suffix.lower() == ".png" else None
+
+    def write_ranking(
+        self,
+        store: Store,
+        found: StoreRanking,
+        example: tuple[str, int, int] | None,
+        tau: float,
+        kind: str,
+        stage: str | None,
+    ) -> None:
+        """Write the hits of a ranking to page and picture, or the nearest intervals if there is no hit."""
+        if self.html is not None or self.picture is not None:
+            from kinedex.reports.motion_pages.hits import ranking_page
+
+            hits = found.table()
+            hits = hits if hits.num_rows else found.nearest_table()
+            remarks = (*found.remarks, *found.misses(tau))
+            self._write(store, hits, replace(ranking_page(store, hits, tau, kind, stage, example), remarks=remarks))
+
+    def write_search(self, store: Store, hits: pa.Table, title: str, remarks: Sequence[str]) -> None:
+        """Write the hits of a search to page and picture."""
+        if self.html is not None or self.picture is not None:
+            from kinedex.reports.motion_pages.hits import search_page
+
+            self._write(store, hits, replace(search_page(store, title), remarks=remarks))
+
+    def _write(self, store: Store, hits: pa.Table, about: HitsPage) -> None:
+        from kinedex.reports.motion_pages.hits import write_hits_page, write_strip
+
+        amount = ""
+        if self.html is not None:
+            amount = write_hits_page(store, hits, about, self.html, self.figures)
+        if self.picture is not None:
+            amount = write_strip(store, hits, about, self.picture, self.figures)
+        self.amounts.append(amount)

@@ -1,35 +1,103 @@
-"""Commands that run pipelines: demo, run, plan, ingest, synth."""
+"""Commands that run pipelines, or prepare and compare runs: init, demo, run, plan, ingest, synth, report compare."""
 
 from __future__ import annotations
 
 import json
+import shlex
 from dataclasses import asdict
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from kinedex.commands.app import RUN, command
+from kinedex.commands.app import RUN, command, group
 from kinedex.commands.options import (
-    AcceptOption,
     ExecutorOption,
     ForceOption,
     JsonOption,
-    KnownFailuresOption,
-    MaxMemoryOption,
     MetadataOption,
     PipelineArgument,
     RateOption,
-    SchedulerOption,
+    RunOptions,
     SetOption,
     StoreOption,
     StorePath,
-    WaitOption,
     WorkersOption,
     assignments_of,
-    known_failures_of,
 )
-from kinedex.commands.output import print_json, show_outcome
+from kinedex.commands.output import print_json, print_message, print_path, show_outcome
+from kinedex.ops.errors import KinedexError
+from kinedex.ops.wording import visible
+
+if TYPE_CHECKING:
+    from kinedex.pipelines.ingestion.pattern_proposal import Proposal
+
+
+@command(RUN)
+def init(
+    source: Annotated[Path, typer.Argument(metavar="DIR", help="Folder of motion files.")],
+    output: Annotated[
+        Path | None,
+        typer.Option("--output", "-o", metavar="FILE", help="Pipeline to write (.yaml); none unless given."),
+    ] = None,
+    force: Annotated[bool, typer.Option("--force", help="Write over an existing file.")] = False,
+    as_json: JsonOption = False,
+) -> None:
+    """Propose patterns for the names of motion files, as a pipeline.
+
+    The names are divided into tokens; a table shows the values of each, and whether they look like actors, classes,
+    numbers or styles. `kinedex run FILE --store STORE` then runs the pipeline as it is.
+    """
+    from kinedex.pipelines.ingestion.pattern_proposal import matched, propose
+    from kinedex.pipelines.ingestion.pipeline_draft import draft
+    from kinedex.storage.disk import whole_file, write_errors
+    from kinedex.storage.formats.motion.sources import scan
+
+    if output is not None and output.suffix not in (".yaml", ".yml"):
+        raise KinedexError(f"--output {output}: expected a name with the ending .yaml")
+    if output is not None and output.exists() and not force:
+        raise KinedexError(f"{output}: exists already; give another --output, or --force to write over it")
+    found = scan(source)
+    if not found.motions:
+        raise KinedexError(f"no motion files below {source}; is this the right folder?")
+    paths = [motion.path for motion in found.motions]
+    proposals = propose(paths)
+    fitting = matched(proposals, paths)
+    root = Path(found.motions[0].root)
+    if as_json:
+        patterns = [{"pattern": one.pattern, "paths": len(one.layout.paths)} for one in proposals]
+        print_json({"source": source, "patterns": patterns, "paths": len(paths), "matched": fitting, "file": output})
+    else:
+        _print_tokens(proposals, fitting, len(paths))
+    if output is None:
+        again = shlex.join(["kinedex", "init", str(source), "-o", "my.yaml"])
+        print_message(f"nothing was written; {again} writes a pipeline")
+        return
+    text = draft(proposals, root, len(paths), fitting, shlex.quote(str(output)))
+    with write_errors(output), whole_file(output) as path:
+        path.write_text(text, encoding="utf-8")
+    if not as_json:
+        print_path(output)
+
+
+def _print_tokens(proposals: list[Proposal], fitting: int, count: int) -> None:
+    """Print a table of the tokens of each pattern."""
+    from kinedex.console.tables import result_table
+    from kinedex.console.terminal import make_console
+    from kinedex.ops.wording import counted
+    from kinedex.pipelines.engine.display import ResultTable
+    from kinedex.pipelines.ingestion.pipeline_draft import value_counts
+
+    console = make_console()
+    for proposal in proposals:
+        console.print(f"{counted(len(proposal.layout.paths), 'path')}: {proposal.pattern}", markup=False)
+        table = ResultTable(("token", "column", "looks like", "values", "most frequent"), frozenset(range(5)))
+        for number, token in enumerate(proposal.tokens, 1):
+            kind = f"{number} (folder)" if token.column.folder else str(number)
+            table.add(kind, token.role or "–", token.why, f"{len(token.column.counts):,}", value_counts(token, 6))
+        console.print(result_table(table))
+    rest = "" if proposals else ": their names have nothing in common"
+    console.print(f"{fitting:,} of {counted(count, 'path')} match{rest}", markup=False)
 
 
 @command(RUN)
@@ -71,8 +139,7 @@ def demo(
 
     The archive is synthetic, and made where it is missing; --data runs the same on an archive of your own.
     """
-    from kinedex.commands.demo import run_demo, run_depth_demo, run_tracking_demo
-    from kinedex.commands.inertial_demo import run_inertial_demo
+    from kinedex.commands.demo import Demo, run_demo, run_depth_demo, run_inertial_demo, run_tracking_demo
     from kinedex.console.terminal import message_console
 
     others = {"tracking": run_tracking_demo, "depth": run_depth_demo, "inertial": run_inertial_demo}
@@ -81,46 +148,19 @@ def demo(
         raise typer.BadParameter(f"{' and '.join(f'--{name}' for name in chosen)} are different demos; choose one")
     if chosen and data is not None:
         raise typer.BadParameter(f"--{chosen[0]} uses takes of the synthetic archive; leave out --data")
-    if chosen:
-        store = store or Path(f"build/{chosen[0]}-store")
-        outcome = others[chosen[0]](store, minutes or 3.0, executor, workers, message_console())
-    else:
-        store = store or Path("build/demo-store")
-        outcome = run_demo(store, data, minutes or 30.0, executor, workers, message_console(), method)
+    store = store or Path(f"build/{chosen[0] if chosen else 'demo'}-store")
+    one = Demo(store, minutes or (3.0 if chosen else 30.0), executor, workers, message_console())
+    outcome = others[chosen[0]](one) if chosen else run_demo(one, data, method)
     show_outcome(outcome, store, as_json, repeat=True)
 
 
 @command(RUN)
-def run(
-    pipeline: PipelineArgument,
-    store: StoreOption,
-    assign: SetOption = None,
-    executor: ExecutorOption = "processes",
-    workers: WorkersOption = None,
-    scheduler: SchedulerOption = None,
-    force: ForceOption = None,
-    max_memory: MaxMemoryOption = None,
-    accept: AcceptOption = False,
-    known_failures: KnownFailuresOption = None,
-    wait: WaitOption = None,
-    as_json: JsonOption = False,
-) -> None:
+def run(pipeline: PipelineArgument, store: StoreOption, *, options: RunOptions, as_json: JsonOption = False) -> None:
     """Run the stages of a pipeline that are not up to date.
 
     A stage runs where its code, its parameters or its inputs changed since it last ran.
     """
-    from kinedex.console.terminal import Terminal
-    from kinedex.pipelines.engine.runner import run_pipeline
-
-    assignments = assignments_of(assign)
-    if max_memory is not None:
-        assignments["ingest.max_memory"] = max_memory
-    outcome = run_pipeline(
-        pipeline, store, assignments=assignments, executor=executor, workers=workers, scheduler=scheduler,
-        force=frozenset(force or ()), terminal=Terminal(), wait_seconds=wait or 0.0, accept=accept,
-        known_failures=known_failures_of(known_failures),
-    )  # fmt: skip
-    show_outcome(outcome, store, as_json)
+    show_outcome(options.run(pipeline, store), store, as_json)
 
 
 @command(RUN)
@@ -152,26 +192,19 @@ def plan(
         ]
         print_json({"pipeline": loaded.name, "description": loaded.description, "store": store, "stages": stages})
         return
-    from rich import box
-    from rich.table import Table
-
-    from kinedex.console.tables import plain_text
+    from kinedex.console.tables import plain_text, result_table
     from kinedex.console.terminal import make_console
+    from kinedex.pipelines.engine.display import ResultTable
 
-    table = Table(
-        box=box.SIMPLE_HEAD,
-        pad_edge=False,
-        title=plain_text(f"{loaded.name}: {loaded.description}"),
-        title_justify="left",
-    )
-    for column in ("stage", "inputs", "runs because", "last run"):
-        table.add_column(column)
+    table = ResultTable(("stage", "inputs", "runs because", "last run"), frozenset(range(4)))
     for step in steps:
         last = f"{step.record.finished} ({step.record.seconds:g} s)" if step.record else "never"
         inputs = ", ".join(sorted(set(step.stage.inputs.values()))) or "–"
         nothing = f"– (unchanged: {step.what})" if step.what else "– (nothing to do)"
-        table.add_row(*map(plain_text, (step.stage.name, inputs, step.reason or nothing, last)))
-    make_console().print(table)
+        table.add(step.stage.name, inputs, step.reason or nothing, last)
+    shown = result_table(table)
+    shown.title = plain_text(f"{loaded.name}: {loaded.description}")
+    make_console().print(shown)
 
 
 @command(RUN)
@@ -182,14 +215,8 @@ def ingest(
     metadata: MetadataOption = None,
     prune: Annotated[bool, typer.Option("--prune", help="Drop takes whose file is no longer in the source.")] = False,
     strict: Annotated[bool, typer.Option("--strict", help="Stop at the first file that cannot be read.")] = False,
-    assign: SetOption = None,
-    executor: ExecutorOption = "processes",
-    workers: WorkersOption = None,
-    scheduler: SchedulerOption = None,
-    max_memory: MaxMemoryOption = None,
-    accept: AcceptOption = False,
-    known_failures: KnownFailuresOption = None,
-    wait: WaitOption = None,
+    *,
+    options: Annotated[RunOptions, "assign executor workers scheduler max_memory accept known_failures wait"],
     as_json: JsonOption = False,
 ) -> None:
     """Read motion files into a store and index them.
@@ -197,25 +224,12 @@ def ingest(
     This is the pipeline `ingest`. Takes are committed batch by batch: after an interruption the same command continues
     where it was.
     """
-    from kinedex.console.terminal import Terminal
-    from kinedex.pipelines.engine.runner import run_pipeline
-
-    assignments = {"source": str(source), **assignments_of(assign)}
-    for name, wanted in (("prune", prune), ("strict", strict)):
-        if wanted:
-            assignments[f"ingest.{name}"] = "true"
+    fixed = {f"ingest.{name}": "true" for name, wanted in (("prune", prune), ("strict", strict)) if wanted}
     if rate is not None:
-        assignments["ingest.override_rate_hz"] = str(rate)
+        fixed["ingest.override_rate_hz"] = str(rate)
     if metadata:
-        assignments["ingest.metadata"] = json.dumps(list(map(str, metadata)))
-    if max_memory is not None:
-        assignments["ingest.max_memory"] = max_memory
-    outcome = run_pipeline(
-        "ingest", store, assignments=assignments, executor=executor, workers=workers, scheduler=scheduler,
-        terminal=Terminal(), wait_seconds=wait or 0.0, accept=accept,
-        known_failures=known_failures_of(known_failures),
-    )  # fmt: skip
-    show_outcome(outcome, store, as_json)
+        fixed["ingest.metadata"] = json.dumps(list(map(str, metadata)))
+    show_outcome(options.run("ingest", store, {"source": str(source)}, fixed), store, as_json)
 
 
 @command(RUN)
@@ -234,3 +248,65 @@ def synth(
     made = make_archive(directory, minutes, actors, seed, workers, message_console())
     if as_json:
         print_json({**asdict(made), "directory": directory})
+
+
+report = group("report", "Compare evaluations.", RUN)
+
+FORMATS = (".md", ".html", ".json")
+EvaluationArgument = Annotated[
+    str,
+    typer.Argument(help="Store, folder of its reports, or JSON file of them; ::PIPELINE, ::METHOD, or both choose."),
+]
+
+
+@report.callback()
+def _group() -> None:
+    """Compare evaluations."""
+
+
+@command(of=report)
+def compare(
+    a: EvaluationArgument,
+    b: EvaluationArgument,
+    split: Annotated[str | None, typer.Option(help="Only this split of evaluations of several methods.")] = None,
+    output: Annotated[
+        Path | None, typer.Option("--output", "-o", help="Write to this file: .md, .html or .json.")
+    ] = None,
+    as_json: JsonOption = False,
+) -> None:
+    """List the classes and takes that improved or got worse from A to B.
+
+    Two methods of one evaluation: kinedex report compare STORE::thesis STORE::best
+
+    A store with evaluations of several pipelines means the current one (`kinedex use`), unless ::PIPELINE is given.
+    """
+    from kinedex.console.terminal import Terminal, make_console
+    from kinedex.pipelines.engine.page_files import write_page
+    from kinedex.pipelines.evaluation.differences import compared, comparison_tables, content, markdown, without_repeats
+    from kinedex.pipelines.evaluation.written_evaluations import pairs, read_run
+    from kinedex.reports.methods_page import comparison_page
+    from kinedex.storage.formats.json_text import json_text
+
+    if output is not None and output.suffix not in FORMATS:
+        raise KinedexError(f"--output {output}: must end in {', '.join(FORMATS)}")
+    ours, theirs = read_run(a), read_run(b)
+    for remark in dict.fromkeys(one.remark for one in (ours, theirs) if one.remark is not None):
+        typer.echo(visible(remark), err=True)
+    found = pairs(ours, theirs, split)
+    comparisons = without_repeats([compared(one, other, _names(a, b, one.name, other.name)) for one, other in found])
+    if as_json:
+        print_json(content(comparisons))
+    elif output is None:
+        for one in comparisons:
+            Terminal(make_console()).show(*comparison_tables(one))
+    if output is not None and output.suffix == ".json":
+        write_page(json_text(content(comparisons)), output)
+    elif output is not None:
+        write_page(comparison_page(comparisons) if output.suffix == ".html" else markdown(comparisons), output)
+
+
+def _names(a: str, b: str, one: str, other: str) -> tuple[str, str]:
+    """Return the names of two evaluations for tables; if they are equal, the command's arguments are appended."""
+    if one != other:
+        return one, other
+    return f"{one} ({a})", f"{other} ({b})"

@@ -1,4 +1,4 @@
-"""Commands about keyframe queries: search, and the group `query`, which makes them."""
+"""Commands about keyframe queries: search, query from-clip, which proposes one, keyframes learn, show and export."""
 
 from __future__ import annotations
 
@@ -9,26 +9,29 @@ import typer
 
 from kinedex.commands.app import SEARCH, command, group
 from kinedex.commands.options import (
-    FIGURES,
     AtOption,
-    FiguresOption,
-    FormatOption,
-    HitsOutputOption,
-    HtmlOption,
     JsonOption,
+    Output,
+    RunOptions,
+    StartArgument,
+    StopArgument,
     StorePath,
     WhereOption,
+    open_for_reading,
 )
-from kinedex.commands.output import ROWS, is_for_people, print_json, print_message, print_path, show_table
-from kinedex.commands.pages import Pages
-from kinedex.commands.store_access import open_for_reading
+from kinedex.commands.output import print_json, print_message, print_path, show_outcome, show_table
+from kinedex.commands.pages import HitsOutput
 from kinedex.ops.errors import KinedexError
 from kinedex.ops.wording import counted
 
 if TYPE_CHECKING:
     import pyarrow as pa
 
+    from kinedex.pipelines.keyframes.stored_queries import StoredQueries
+    from kinedex.storage.store.store import Store
+
 query = group("query", "Make keyframe queries.", SEARCH)
+keyframes = group("keyframes", "Learn keyframe queries from example clips.", SEARCH)
 
 
 ExplainOption = Annotated[
@@ -68,10 +71,8 @@ def search(
     explain: ExplainOption = False,
     save: SaveOption = None,
     limit: SearchLimitOption = None,
-    form: FormatOption = "table",
-    output: HitsOutputOption = None,
-    html: HtmlOption = None,
-    figures: FiguresOption = FIGURES,
+    *,
+    output: HitsOutput,
     at: AtOption = None,
     as_json: JsonOption = False,
 ) -> None:
@@ -83,22 +84,26 @@ def search(
     from kinedex.pipelines.search.explanation import explain_search
     from kinedex.pipelines.search.search import load_query_file, save_hits, search_remarks, search_store
 
-    pages = Pages(html, output, figures)
-    _refuse_contradictions(explain, save, at, bool(html or pages.picture))
+    output.check()
+    if explain and save is not None:
+        raise KinedexError("--explain shows no hits that --save could store: give only one of them")
+    if explain and (output.html or output.picture):
+        raise KinedexError("--explain shows no hits: give it without --html and without a picture")
+    if at is not None and save is not None:
+        raise KinedexError("--save stores the hits in the newest version: give no --at with it")
     opened = open_for_reading(store, at if save is None else "newest")
     loaded = load_query_file(queries, opened.feature_set, name, opened.rate_hz)
-    plain = form == "table" and output is None
     if explain:
         table = explain_search(opened, loaded, where)
         if as_json:
             print_json({"store": store, "query_file": queries, "explanation": table})
         else:
-            show_table(_explanation(table) if plain else table, form, output)
+            output.show(_explanation(table) if output.is_plain else table)
         return
     run = None if save is None else new_run_id()
     hits = search_store(opened, loaded, where) if run is None else search_store(opened, loaded, where, run)
     remarks = search_remarks(opened, loaded, where)
-    pages.write_search(opened, hits, f"Hits of {queries}", remarks)
+    output.write_search(opened, hits, f"Hits of {queries}", remarks)
     if save is not None and run is not None:
         opened.close()
         hits = save_hits(opened, hits, save, run)
@@ -109,28 +114,16 @@ def search(
         return
     for remark in remarks:
         typer.echo(remark, err=True)
-    if limit is None and is_for_people(form, output):
-        limit = ROWS
-    shown = hits.slice(0, limit or None)
-    if plain:
+    shown = hits.slice(0, output.most(limit))
+    if output.is_plain:
         _show_hits(hits, shown, save, run)
-    elif pages.picture is not None:
-        print_path(pages.picture)
+    elif output.picture is not None:
+        print_path(output.picture)
     else:
-        show_table(shown if save is not None else shown.drop_columns(["saved_as"]), form, output)
+        output.show(shown if save is not None else shown.drop_columns(["saved_as"]))
         if shown.num_rows < hits.num_rows:
             typer.echo(f"{counted(hits.num_rows, 'interval')}{_part(shown.num_rows)}", err=True)
-    pages.report()
-
-
-def _refuse_contradictions(explain: bool, save: str | None, at: int | str | None, pictures: bool) -> None:
-    """Raise a KinedexError if options of a search exclude each other."""
-    if explain and save is not None:
-        raise KinedexError("--explain shows no hits that --save could store: give only one of them")
-    if explain and pictures:
-        raise KinedexError("--explain shows no hits: give it without --html and without a picture")
-    if at is not None and save is not None:
-        raise KinedexError("--save stores the hits in the newest version: give no --at with it")
+    output.report()
 
 
 def _show_hits(hits: pa.Table, shown: pa.Table, save: str | None, run: str | None) -> None:
@@ -138,7 +131,7 @@ def _show_hits(hits: pa.Table, shown: pa.Table, save: str | None, run: str | Non
     if save is not None:
         print_message(f"{counted(hits.num_rows, 'hit')} saved as '{save}' (run {run})")
         return
-    show_table(shown.drop_columns(["run", "saved_as", "take_id"]), "table", None)
+    show_table(shown.drop_columns(["run", "saved_as", "take_id"]))
     hint = _part(shown.num_rows) if shown.num_rows < hits.num_rows else ""
     hint = hint if hits.num_rows else "; --explain shows at which keyframe the search ends"
     print_message(f"{counted(hits.num_rows, 'interval')} in {counted(_takes(hits), 'take')}{hint}")
@@ -167,10 +160,8 @@ def _explanation(table: pa.Table) -> pa.Table:
 def from_clip(
     store: StorePath,
     take: Annotated[str, typer.Argument(help="Name of the take that holds the example.")],
-    start: Annotated[
-        str | None, typer.Argument(help="First frame (45) or seconds (1.5s); else the take's first.")
-    ] = None,
-    stop: Annotated[str | None, typer.Argument(help="Frame after the last, or seconds; else the end.")] = None,
+    start: StartArgument = None,
+    stop: StopArgument = None,
     name: Annotated[str, typer.Option(help="Name of the query.")] = "proposed",
     keyframes: Annotated[int, typer.Option(min=1, max=20, help="Largest number of keyframes.")] = 3,
     output: Annotated[
@@ -194,3 +185,109 @@ def from_clip(
         print_path(output)
     else:
         print(text, end="")
+
+
+ClassOption = Annotated[
+    list[str] | None,
+    typer.Option("--class", "-c", metavar="CLASS", help="Only this class; may be given several times."),
+]
+PipelineOption = Annotated[
+    str | None,
+    typer.Option(metavar="NAME", help="Pipeline that learned the queries, or PIPELINE/STAGE; the newest unless given."),
+]
+
+
+@command(of=keyframes)
+def learn(
+    store: StorePath,
+    pipeline: Annotated[
+        str, typer.Option(help="Pipeline with a stage learn_keyframes: name of a shipped one, or path.")
+    ] = "keyframes",
+    *,
+    options: Annotated[RunOptions, "assign executor workers scheduler force wait"],
+    as_json: JsonOption = False,
+) -> None:
+    """Learn a keyframe query for each class.
+
+    An interruption loses at most 20 seconds of finished runs.
+    """
+    from kinedex.storage.store.store import open_store
+
+    open_store(store, at="newest")
+    show_outcome(options.run(pipeline, store), store, as_json)
+
+
+@command(of=keyframes)
+def show(
+    store: StorePath,
+    name: ClassOption = None,
+    pipeline: PipelineOption = None,
+    *,
+    output: Output,
+    at: AtOption = None,
+    as_json: JsonOption = False,
+) -> None:
+    """Show learned queries and how well they separate the training clips.
+
+    Precision and recall are those of all queries of a class together and stand on its first row only.
+    """
+    from kinedex.console.tables import Shown, wrapped
+    from kinedex.console.terminal import make_console
+    from kinedex.pipelines.keyframes.stored_queries import LEGEND, overview
+
+    opened = open_for_reading(store, at)
+    found = _stored(opened, name, pipeline)
+    table = overview(found.outcomes, opened.feature_set, found.classes)
+    if as_json:
+        print_json({"store": store, "stage": found.stage, "queries": table})
+        return
+    if not output.is_plain:
+        output.show(table)
+        return
+    console = make_console()
+    # a terminal wraps by itself, to its own width
+    console.print(Shown(table if console.is_terminal else wrapped(table, "keyframes", 76), null=""))
+    console.print(LEGEND, markup=False)
+
+
+@command(of=keyframes)
+def export(
+    store: StorePath,
+    name: ClassOption = None,
+    pipeline: PipelineOption = None,
+    output: Annotated[
+        Path | None, typer.Option("--output", "-o", help="File to write (.yaml); standard output unless given.")
+    ] = None,
+    at: AtOption = None,
+    as_json: JsonOption = False,
+) -> None:
+    """Write learned queries as a query file, to edit and to search with."""
+    from kinedex.catalog.queries.query_writer import write_queries
+    from kinedex.pipelines.engine.page_files import write_page
+    from kinedex.pipelines.keyframes.learning import keyframe_queries
+
+    if output is not None and output.suffix.lower() not in (".yaml", ".yml"):
+        raise KinedexError(f"--output {output}: the name of a query file ends in .yaml, or it cannot be searched with")
+    opened = open_for_reading(store, at)
+    found = _stored(opened, name, pipeline)
+    queries = [query for one in found.outcomes for query in keyframe_queries(one, opened.feature_set, found.classes)]
+    text = write_queries(queries, opened.feature_set)
+    if output is not None:
+        write_page(text, output)
+    if as_json:
+        print_json({"store": store, "stage": found.stage, "queries": len(queries), "yaml": text, "file": output})
+    elif output is None:
+        print(text, end="")
+    else:
+        print_message(f"{len(queries)} queries written to {output}")
+
+
+def _stored(store: Store, classes: list[str] | None, pipeline: str | None) -> StoredQueries:
+    """Return the newest learned queries, and print which other stages have some of the same classes."""
+    from kinedex.pipelines.keyframes.stored_queries import stored_queries
+
+    found = stored_queries(store, classes, pipeline)
+    if found.other_stages:
+        others = ", ".join(found.other_stages)
+        typer.echo(f"queries of {found.stage}, the newest; --pipeline shows others: {others}", err=True)
+    return found

@@ -1,38 +1,39 @@
-"""The command `rank`, which lists where templates or an example fit best."""
+"""Commands about motion templates: rank, which lists where they fit best, template list, show, diff, from-clip."""
 
 from __future__ import annotations
 
 import time
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, Annotated
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, cast
 
 import typer
 
-from kinedex.commands.app import SEARCH, command
+from kinedex.commands.app import ASK, SEARCH, command, group
 from kinedex.commands.options import (
-    FIGURES,
     AtOption,
-    FiguresOption,
-    FormatOption,
-    HitsOutputOption,
-    HtmlOption,
     JsonOption,
     KindOption,
+    Output,
     StageOption,
+    StartArgument,
+    StopArgument,
     StorePath,
     WhereOption,
+    open_for_reading,
 )
 from kinedex.commands.output import print_json, print_message, print_path, show_table
-from kinedex.commands.pages import Pages
-from kinedex.commands.store_access import open_for_reading
+from kinedex.commands.pages import HitsOutput, Pages
 from kinedex.ops.errors import KinedexError
+from kinedex.ops.wording import visible
 
 if TYPE_CHECKING:
-    from kinedex.catalog.queries.keyframe_query import KeyframeQuery
+    from kinedex.ops.templates.templates import Kind
     from kinedex.pipelines.ranking.ranked_hits import Ranking
     from kinedex.pipelines.ranking.store_ranking import StoreRanking
-    from kinedex.storage.store.store import Store
 
+
+template = group("template", "Show, compare and make motion templates.", ASK)
 
 NEAREST = 5
 """Number of nearest intervals that are shown for a template without a hit."""
@@ -75,29 +76,28 @@ def rank(
     where: WhereOption = None,
     mirror: MirrorOption = False,
     workers: Annotated[int | None, typer.Option(min=1, help="Threads; one per core unless given.")] = None,
-    form: FormatOption = "table",
-    output: HitsOutputOption = None,
-    html: HtmlOption = None,
-    figures: FiguresOption = FIGURES,
+    *,
+    output: HitsOutput,
     at: AtOption = None,
     as_json: JsonOption = False,
 ) -> None:
     """Rank the places of an archive by how well templates fit."""
-    from kinedex.commands.templates import kind_of
+    from kinedex.catalog.queries.query_reader import read_queries
     from kinedex.pipelines.ranking.store_ranking import RankingQuestion, rank_store
-    from kinedex.pipelines.templates.stored_templates import template_from_clip
+    from kinedex.pipelines.templates.stored_templates import clip_range, template_from_clip
 
     names = list(dict.fromkeys(templates or ()))
     _check_source(names, every, take, start, stop)
-    pages = Pages(html, output, figures)
+    output.check()
     opened = open_for_reading(store, at)
-    asked = None if queries is None else _read_queries(queries, opened)
+    asked = None if queries is None else read_queries(queries, opened.feature_set, opened.rate_hz)
     chosen = None if every else names if take is None else [template_from_clip(opened, take, start, stop)]
     begin = time.perf_counter()
     question = RankingQuestion(delta, tau, top, where, mirror, min(top, NEAREST), workers)
-    found = rank_store(opened, chosen, question, queries=asked, kind=kind_of(kind), stage=stage)
+    found = rank_store(opened, chosen, question, queries=asked, kind=_kind_of(kind), stage=stage)
     seconds = time.perf_counter() - begin
-    pages.write_ranking(opened, found, _interval(opened, take, start, stop), tau, kind, stage)
+    example = None if take is None else (take, *clip_range(opened, take, start, stop))
+    output.write_ranking(opened, found, example, tau, kind, stage)
     if as_json:
         document = {"store": store, "templates": [one.name for one in found.rankings], "tau": tau, "delta": delta}
         document |= {"frames": found.rankings[0].frames, "seconds": seconds, "remarks": found.remarks}
@@ -106,19 +106,13 @@ def rank(
         return
     for remark in (*found.remarks, *found.misses(tau)):
         typer.echo(remark, err=True)
-    if form == "table" and output is None:
+    if output.is_plain:
         _show_hits(found, tau, _summary(found.rankings, tau, top, queries is not None, seconds))
-    elif not pages.picture:
-        show_table(found.table(), form, output)
-    if output is not None:
-        print_path(output)
-    pages.report()
-
-
-def _read_queries(name: str, store: Store) -> tuple[KeyframeQuery, ...]:
-    from kinedex.catalog.queries.query_reader import read_queries
-
-    return read_queries(name, store.feature_set, store.rate_hz)
+    elif not output.picture:
+        output.show(found.table())
+    if output.output is not None:
+        print_path(output.output)
+    output.report()
 
 
 def _show_hits(found: StoreRanking, tau: float, summary: str) -> None:
@@ -127,18 +121,8 @@ def _show_hits(found: StoreRanking, tau: float, summary: str) -> None:
     if not table.num_rows and found.nearest_table().num_rows:
         print_message(f"No hit below {tau:g}; the nearest places, which are none:")
         table = found.nearest_table()
-    show_table(
-        table.drop_columns(["run", "take_id"] if len(found.rankings) > 1 else ["run", "template", "take_id"]),
-        "table", None,
-    )  # fmt: skip
+    show_table(table.drop_columns(["run", "take_id"] if len(found.rankings) > 1 else ["run", "template", "take_id"]))
     print_message(summary)
-
-
-def _interval(store: Store, take: str | None, start: str | None, stop: str | None) -> tuple[str, int, int] | None:
-    """Return the example as (take, start, stop) in frames; None if no take is given."""
-    from kinedex.pipelines.templates.stored_templates import clip_range
-
-    return None if take is None else (take, *clip_range(store, take, start, stop))
 
 
 def _check_source(names: list[str], every: bool, take: str | None, start: str | None, stop: str | None) -> None:
@@ -174,3 +158,167 @@ def _summary(rankings: Sequence[Ranking], tau: float, top: int, preselected: boo
         + (f", {sum(shares) / len(shares):.0%} skipped as provably without one" if shares else "")
         + f"; {seconds:.2f} s"
     )
+
+
+OnOffOption = Annotated[
+    float, typer.Option("--delta", min=0, max=0.4999, help="Values within δ of 0 or 1 count as off and on.")
+]
+ClassArgument = Annotated[str, typer.Argument(metavar="CLASS", help="Class (subclass) of the template.")]
+
+
+@command(of=template, name="list")
+def list_(
+    store: StorePath,
+    delta: OnOffOption = 0.05,
+    stage: StageOption = None,
+    *,
+    output: Output,
+    at: AtOption = None,
+    as_json: JsonOption = False,
+) -> None:
+    """List the templates of a store."""
+    from kinedex.pipelines.templates.stored_templates import stored_templates, templates_overview
+
+    opened = open_for_reading(store, at)
+    table = templates_overview(opened, delta, stage)
+    if as_json:
+        print_json({"store": store, "templates": table})
+        return
+    one_stage = len(set(table.column("stage").to_pylist())) == 1
+    hidden = ["stage", "remarks"] if one_stage else ["remarks"]
+    output.show(table.drop_columns(hidden) if output.is_plain else table)
+    if output.is_plain:
+        remarks = {
+            (each.one.subclass, remark): None for each in stored_templates(opened, stage) for remark in each.one.remarks
+        }
+        for subclass, remark in remarks:
+            print_message(f"! {subclass}: {remark}")
+
+
+@command(of=template)
+def show(
+    store: StorePath,
+    name: ClassArgument,
+    kind: KindOption = "soft",
+    delta: OnOffOption = 0.05,
+    stage: StageOption = None,
+    output: Annotated[
+        Path | None,
+        typer.Option("--output", "-o", help="Figure to write (.svg, .png), or template file to edit (.yaml, .csv)."),
+    ] = None,
+    *,
+    pages: Pages,
+    at: AtOption = None,
+    as_json: JsonOption = False,
+) -> None:
+    """Show a template: every feature over time.
+
+    The page names the origin of the template, and how much the clips agree about each feature.
+    """
+    from kinedex.console.terminal import make_console
+    from kinedex.ops.templates.templates import NamedTemplate
+    from kinedex.pipelines.templates.stored_templates import choose_template, write_template
+    from kinedex.pipelines.templates.template_text import heading, template_lines
+    from kinedex.reports.matrix_figures import template_figure, write_figure
+
+    pages.check()
+    opened = open_for_reading(store, at)
+    one = choose_template(opened, name, _kind_of(kind), stage)
+    if output is None and not as_json:
+        console = make_console()
+        for line in template_lines(one, opened.feature_set, delta, opened.rate_hz, console.width):
+            console.print(visible(line), markup=False)
+    elif output is not None and output.suffix.lower() in (".yaml", ".yml", ".csv"):
+        write_template(
+            NamedTemplate(name, one.learned.template, heading(one, opened.rate_hz)), opened.feature_set, output
+        )
+    elif output is not None:
+        note = heading(one, opened.rate_hz).split(": ", 1)[1]
+        figure = template_figure(one.learned.template, name, note, delta, opened.feature_set, opened.rate_hz)
+        write_figure(figure, output)
+    if output is not None and not as_json:
+        print_path(output)
+    pages.write_template(opened, one, delta)
+    pages.report()
+    if as_json:
+        features = [feature.name for feature in opened.feature_set.features]
+        values = one.learned.template.values.round(6).tolist()
+        about = {"class": name, "kind": kind, "about": heading(one, opened.rate_hz), "features": features}
+        print_json({"store": store, **about, "values": values, "file": output})
+
+
+@command(of=template)
+def diff(
+    store: StorePath,
+    first: Annotated[str, typer.Argument(metavar="CLASS", help="First class.")],
+    second: Annotated[str, typer.Argument(metavar="CLASS", help="Second class.")],
+    kind: KindOption = "soft",
+    delta: OnOffOption = 0.05,
+    stage: StageOption = None,
+    output: Annotated[
+        Path | None,
+        typer.Option("--output", "-o", help="Figure to write (.svg, .png); text unless given."),
+    ] = None,
+    at: AtOption = None,
+    as_json: JsonOption = False,
+) -> None:
+    """List the features in which two templates contradict each other."""
+    from kinedex.console.terminal import make_console
+    from kinedex.ops.templates.derived_templates import contrast
+    from kinedex.pipelines.templates.stored_templates import choose_template
+    from kinedex.pipelines.templates.template_text import contrast_lines
+    from kinedex.reports.matrix_figures import contrast_figure, write_figure
+
+    opened = open_for_reading(store, at)
+    names = (first, second)
+    one, other = (choose_template(opened, name, _kind_of(kind), stage).learned.template for name in names)
+    found = contrast(one, other, delta)
+    lines = list(contrast_lines(names, found, opened.feature_set, opened.rate_hz))
+    if output is not None:
+        about = (names, found, delta, lines[0], opened.feature_set, opened.rate_hz)
+        write_figure(contrast_figure(one, other, *about), output)
+    if as_json:
+        print_json({"store": store, "classes": names, "kind": kind, "delta": delta, "lines": lines, "file": output})
+    elif output is not None:
+        print_path(output)
+    else:
+        console = make_console()
+        for line in lines:
+            console.print(visible(line), markup=False)
+
+
+@command(of=template, name="from-clip")
+def from_clip(
+    store: StorePath,
+    take: Annotated[str, typer.Argument(help="Name of the take.")],
+    start: StartArgument = None,
+    stop: StopArgument = None,
+    name: Annotated[str, typer.Option("--name", help="Name of the template; that of the take unless given.")] = "",
+    output: Annotated[
+        Path | None, typer.Option("--output", "-o", help="File to write (.yaml, .csv); standard output unless given.")
+    ] = None,
+    at: AtOption = None,
+    as_json: JsonOption = False,
+) -> None:
+    """Make a template from one example: a take or an interval of it. `learn_templates.template_files` reads it."""
+    from kinedex.catalog.template_files import write_yaml
+    from kinedex.pipelines.templates.stored_templates import template_from_clip, write_template
+
+    opened = open_for_reading(store, at)
+    made = template_from_clip(opened, take, start, stop, name or take)
+    if output is not None:
+        write_template(made, opened.feature_set, output)
+    text = write_yaml([made], opened.feature_set)
+    if as_json:
+        print_json({"store": store, "name": made.name, "yaml": text, "file": output})
+    elif output is not None:
+        print_path(output)
+    else:
+        print(text, end="")
+
+
+def _kind_of(text: str) -> Kind:
+    """Return the kind of template that an option names."""
+    if text not in ("soft", "hard"):
+        raise KinedexError(f"--kind {text}: expected soft or hard")
+    return cast("Kind", text)

@@ -2,15 +2,17 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Mapping
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
 from kinedex.commands.app import TRACK, command, group
-from kinedex.commands.options import AtOption, JsonOption, StorePath, WhereOption, interval_of
+from kinedex.commands.options import AtOption, JsonOption, StorePath, WhereOption, interval_of, open_for_reading
 from kinedex.commands.output import print_json, print_message, print_path
-from kinedex.commands.store_access import open_for_reading
+from kinedex.ops.wording import counted
 
 simulate = group("simulate", "Make recordings of takes, with their truth apart.", TRACK)
 
@@ -41,23 +43,18 @@ def cameras(
     DIR/recordings.yaml names the recordings, as `kinedex track` reads them. DIR/truth has the true joints, and the
     failures of the detector. The same command makes the same bytes.
     """
-    from dataclasses import asdict, replace
-
     from kinedex.console.terminal import Terminal
     from kinedex.ops.simulation.recording import LONG, CameraRing, Detector, FailureRate, Setup
-    from kinedex.ops.wording import counted
     from kinedex.pipelines.simulation.camera_recordings import RECORDINGS, Request, simulate_cameras
 
     rate = replace(LONG if long else FailureRate(), per_second=failures)
     setup = Setup(CameraRing(count), Detector(noise_px=noise), rate)
     request = Request(tuple(takes or ()), where, seed, setup, keypoints, form, silhouettes)
     made = simulate_cameras(open_for_reading(store, at), request, output, Terminal().progress)
-    if as_json:
-        print_json(asdict(made) | {"recordings_file": made.folder / RECORDINGS})
-        return
     number = counted(len(made.recordings), "recording")
-    print_message(f"{number} of {made.frames:,} frames with {counted(made.failures, 'failure')}, in {made.folder}")
-    print_path(made.folder / RECORDINGS)
+    line = f"{number} of {made.frames:,} frames with {counted(made.failures, 'failure')}, in {made.folder}"
+    file = made.folder / RECORDINGS
+    _report(asdict(made) | {"recordings_file": file}, [line], file, as_json)
 
 
 @command(of=simulate)
@@ -83,22 +80,19 @@ def depth(
     DIR/recordings.yaml names the recordings, as `kinedex reconstruct` reads them: depth images, the background and
     the camera. DIR/truth has the true joints. The same command makes the same bytes.
     """
-    from dataclasses import asdict
-
     from kinedex.console.terminal import Terminal
-    from kinedex.ops.wording import counted
     from kinedex.pipelines.simulation.depth_recordings import RECORDINGS, Request, simulate_depth
 
     interval = None if frames is None else interval_of(frames)
     request = Request(tuple(takes or ()), where, seed, camera, body, azimuth, interval)
     made = simulate_depth(open_for_reading(store, at), request, output, Terminal().progress)
-    if as_json:
-        print_json(asdict(made) | {"recordings_file": made.folder / RECORDINGS})
-        return
-    for name, number in made.outside.items():
-        print_message(f"{name}: {counted(number, 'frame')} with a joint near the camera, or outside the image")
-    print_message(f"{counted(len(made.recordings), 'recording')} of {made.frames:,} frames, in {made.folder}")
-    print_path(made.folder / RECORDINGS)
+    lines = [
+        f"{name}: {counted(number, 'frame')} with a joint near the camera, or outside the image"
+        for name, number in made.outside.items()
+    ]
+    lines.append(f"{counted(len(made.recordings), 'recording')} of {made.frames:,} frames, in {made.folder}")
+    file = made.folder / RECORDINGS
+    _report(asdict(made) | {"recordings_file": file}, lines, file, as_json)
 
 
 @command(of=simulate)
@@ -137,22 +131,22 @@ def imu(
     windows: DIR/recordings has a folder for each take, DIR/windows.csv the class of each window, and DIR/truth mounts
     and clocks. Pieces of takes shorter than a window are left out. The same command makes the same bytes.
     """
-    from dataclasses import asdict
-
     from kinedex.console.terminal import Terminal
-    from kinedex.ops.wording import counted
     from kinedex.pipelines.simulation.imu_recordings import README, Request, Windowing, simulate_imu
     from kinedex.pipelines.simulation.imu_sensors import Wearing
 
     wearing = Wearing(seed, rate, stand_s=stand, mount=mount)
     request = Request(tuple(limbs or ()), grade, wearing, form, Windowing(window, step))
     made = simulate_imu(open_for_reading(store, at), takes or (), where, request, output, Terminal().progress)
+    line = f"{counted(len(made.recordings), 'take')}, {made.seconds:,.1f} s, {made.samples:,} samples, in {output}"
+    _report(asdict(made) | {"folder": output}, [*made.remarks(), line], output / README, as_json)
+
+
+def _report(document: Mapping[str, object], lines: Iterable[str], file: Path, as_json: bool) -> None:
+    """Print what was made, as a JSON object or as lines and the file to begin with."""
     if as_json:
-        print_json(asdict(made) | {"folder": output})
+        print_json(document)
         return
-    for remark in made.remarks():
-        print_message(remark)
-    print_message(
-        f"{counted(len(made.recordings), 'take')}, {made.seconds:,.1f} s, {made.samples:,} samples, in {output}"
-    )
-    print_path(output / README)
+    for line in lines:
+        print_message(line)
+    print_path(file)

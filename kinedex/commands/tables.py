@@ -1,4 +1,4 @@
-"""Commands that ask a store: sql, takes."""
+"""Commands that ask a store: sql, takes, explore."""
 
 from __future__ import annotations
 
@@ -13,20 +13,17 @@ import typer
 
 from kinedex.commands.app import ASK, Command, TakesPage, command, group
 from kinedex.commands.options import (
-    FIGURES,
+    ROWS,
     AtOption,
-    FiguresOption,
-    FormatOption,
-    HtmlOption,
     JsonOption,
-    OutputOption,
+    Output,
     StorePath,
     WhereOption,
+    open_for_reading,
     seconds_of,
 )
-from kinedex.commands.output import ROWS, is_for_people, print_json, print_message, print_path, show_table
+from kinedex.commands.output import print_json, print_message, print_path
 from kinedex.commands.pages import Pages
-from kinedex.commands.store_access import open_for_reading
 from kinedex.ops.errors import KinedexError, did_you_mean
 from kinedex.ops.wording import counted, few, visible
 
@@ -80,8 +77,8 @@ def sql(
         ),
     ] = None,
     limit: LimitOption = None,
-    form: FormatOption = "table",
-    output: OutputOption = None,
+    *,
+    output: Output,
     at: AtOption = None,
     as_json: JsonOption = False,
 ) -> None:  # fmt: skip
@@ -91,8 +88,7 @@ def sql(
             raise KinedexError("--path prints the path of the database file and runs no SQL: give no statement")
         _print_database(open_for_reading(store, at), as_json)
         return
-    from kinedex.console.hidden_rows import hidden_rows_hints
-    from kinedex.console.sql_prompt import rows_line, run_prompt
+    from kinedex.console.sql_prompt import hidden_rows_hints, rows_line, run_prompt
     from kinedex.console.terminal import make_console
 
     if query is not None and file is not None:
@@ -104,16 +100,15 @@ def sql(
     opened = open_for_reading(store, at, allow_files or ())
     _bound_memory()
     prompts = query is None and sys.stdin.isatty() and not as_json
-    limit = ROWS if limit is None and not as_json and (is_for_people(form, output) or prompts) else limit
     if prompts:
-        run_prompt(opened, make_console(), timeout=timeout, max_rows=limit or None)
+        run_prompt(opened, make_console(), timeout=timeout, max_rows=(ROWS if limit is None else limit) or None)
         return
     query = sys.stdin.read() if query is None else query
-    found = opened.answer(query, timeout=timeout, max_rows=limit or None)
+    found = opened.answer(query, timeout=timeout, max_rows=(limit or None) if as_json else output.most(limit))
     if as_json:
         _print_rows(store, found.table, found.rows)
         return
-    show_table(found.table, form, output)
+    output.show(found.table)
     for hint in hidden_rows_hints(opened, query, found.rows):
         print(visible(hint), file=sys.stderr)
     if found.rows > found.table.num_rows:
@@ -172,10 +167,9 @@ def takes(
         "name,actor,class,clip,frames,seconds,source_rate_hz"
     ),
     limit: LimitOption = None,
-    form: FormatOption = "table",
-    output: OutputOption = None,
-    html: HtmlOption = None,
-    figures: FiguresOption = FIGURES,
+    *,
+    output: Output,
+    pages: Pages,
     group: Annotated[
         str | None, typer.Option(metavar="COLUMN", help="Group the figures of the page by this column, or by folder.")
     ] = None,
@@ -183,7 +177,7 @@ def takes(
     as_json: JsonOption = False,
 ) -> None:
     """List the takes of a store; `kinedex takes STORE` is short for it."""
-    pages = Pages(html, None, figures)
+    pages.check()
     opened = open_for_reading(store, at)
     table = opened.takes_table(where)
     names = table.column_names
@@ -196,17 +190,15 @@ def takes(
     if as_json:
         print_json({"store": store, "seconds": seconds, "takes": table.select(wanted)})
         return
-    if limit is None and is_for_people(form, output):
-        limit = ROWS
-    shown = table.select(wanted).slice(0, limit or None)
+    shown = table.select(wanted).slice(0, output.most(limit))
     part = ""
-    if html is None or output is not None:
-        show_table(shown, form, output, paged=True)
+    if pages.html is None or output.output is not None:
+        output.show(shown, paged=True)
         if shown.num_rows < table.num_rows:
             part = f"; the first {shown.num_rows:,} are shown, --limit 0 shows all"
     pages.report()
     count = f"{counted(table.num_rows, 'take')}, {seconds / 60:.1f} minutes{part}"
-    if form == "table" and output is None:
+    if output.is_plain:
         print_message("; ".join([count, *_take_remarks(table, wanted)]))
         if where is not None and not table.num_rows:
             print_message(_nothing_chosen(opened, where))
@@ -235,3 +227,33 @@ def _take_remarks(table: pa.Table, columns: Sequence[str]) -> Iterator[str]:
     warned = sum(bool(warnings) for warnings in table.column("warnings").to_pylist())
     if warned and "warnings" not in columns:
         yield f"{counted(warned, 'take has', 'takes have')} warnings: --columns name,warnings"
+
+
+@command(ASK)
+def explore(
+    store: StorePath,
+    port: Annotated[
+        int | None, typer.Option(min=0, max=65535, help="Port to listen on; 8734 or a free one unless given.")
+    ] = None,
+    host: Annotated[
+        str, typer.Option(metavar="NAME", help="Listen on this address instead of this machine alone.")
+    ] = "127.0.0.1",
+    read_only: Annotated[bool, typer.Option("--read-only", help="Refuse everything that writes.")] = False,
+    no_browser: Annotated[bool, typer.Option("--no-browser", help="Print the address only.")] = False,
+) -> None:
+    """Open the archive in a browser: takes, search by example, labels.
+
+    A server on this machine shows the store until Ctrl-C. The address that it prints holds a token; nobody else can
+    open it.
+    """
+    from kinedex.explorer.server import serve
+
+    serve(
+        store,
+        host,
+        port,
+        read_only=read_only,
+        browser=not no_browser,
+        say=lambda text: print(text, flush=True),
+        warn=lambda text: print(f"warning: {text}", file=sys.stderr, flush=True),
+    )

@@ -1,28 +1,32 @@
-"""Commands of tracking: track, stabilise."""
+"""Commands that make takes of recordings, or better ones: track, stabilise, reconstruct."""
 
 from __future__ import annotations
 
+import json
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from kinedex.commands.app import TRACK, command
+from kinedex.commands.app import TRACK, OptionGroup, command
 from kinedex.commands.options import (
-    ExecutorOption,
-    ForceOption,
     JsonOption,
-    SetOption,
+    RunOptions,
     StorePath,
     WaitOption,
     WorkersOption,
-    assignments_of,
+    interval_of,
     wait_of,
 )
 from kinedex.commands.output import print_json, print_message, show_outcome, show_table
 
 if TYPE_CHECKING:
     from kinedex.pipelines.tracking.runs import Explanation
+
+OnlyOption = Annotated[
+    list[str] | None, typer.Option("--only", metavar="NAME", help="Only this recording; may be repeated.")
+]
 
 _SHOWN = ("round", "kind", "side", "class", "hit", "start_seconds", "stop_seconds", "cost", "kept", "reason")
 
@@ -31,16 +35,10 @@ _SHOWN = ("round", "kind", "side", "class", "hit", "start_seconds", "stop_second
 def track(
     store: StorePath,
     recordings: Annotated[Path, typer.Argument(help="YAML file: name of a recording → calibration, keypoints, rate.")],
-    only: Annotated[
-        list[str] | None,
-        typer.Option("--only", metavar="NAME", help="Only this recording; may be repeated."),
-    ] = None,
+    only: OnlyOption = None,
     tracker: Annotated[str, typer.Option(help="take: all frames at once; frames: one after the other.")] = "take",
-    assign: SetOption = None,
-    force: ForceOption = None,
-    executor: ExecutorOption = "processes",
-    workers: WorkersOption = None,
-    wait: WaitOption = None,
+    *,
+    options: Annotated[RunOptions, "assign force executor workers wait"],
     as_json: JsonOption = False,
 ) -> None:
     """Make takes of recordings by calibrated cameras.
@@ -48,18 +46,8 @@ def track(
     A recording becomes the take NAME_tracked. This is the pipeline `track`. Recordings that are unchanged stay as they
     are.
     """
-    import json
-
-    from kinedex.console.terminal import Terminal
-    from kinedex.pipelines.engine.runner import run_pipeline
-
-    assignments = {"recordings": str(recordings), "track.tracker": tracker, **assignments_of(assign)}
-    if only:
-        assignments["observe.only"] = json.dumps(only)
-    outcome = run_pipeline(
-        "track", store, assignments=assignments, executor=executor, workers=workers, force=frozenset(force or ()),
-        terminal=Terminal(), wait_seconds=wait or 0.0,
-    )  # fmt: skip
+    settings = {"recordings": str(recordings), "track.tracker": tracker}
+    outcome = options.run("track", store, settings, {"observe.only": json.dumps(only)} if only else None)
     show_outcome(outcome, store, as_json)
 
 
@@ -141,7 +129,7 @@ def _show(one: Explanation, unchanged: bool, explain: bool) -> None:
     if explain:
         rows = one.priors.select(list(_SHOWN))
         if rows.num_rows:
-            show_table(rows, "table", None)
+            show_table(rows)
         else:
             print_message(f"{one.take}: no motion of the archive was found within tau")
     if unchanged:
@@ -149,3 +137,84 @@ def _show(one: Explanation, unchanged: bool, explain: bool) -> None:
             f"{one.take}: up to date as {one.stabilised}; {counted(one.row['hits'], 'hit')} lent priors, joints "
             f"moved by {one.moved_mm:.1f} mm on average"
         )
+
+
+RecordingsArgument = Annotated[
+    Path | None, typer.Argument(help="YAML file: name of a recording → depth images, camera, rate.")
+]
+BodyOption = Annotated[
+    str,
+    typer.Option(
+        metavar="TAKE",
+        help="A take of the person whose bone lengths count; or estimate. Of --follow also the height in metres.",
+    ),
+]
+ExplainOption = Annotated[bool, typer.Option("--explain", help="List what was tried in each frame, at what cost.")]
+FramesOption = Annotated[
+    str | None, typer.Option(metavar="A:B", help="Explain frames A to B of each recording, without B.")
+]
+
+
+@dataclass(frozen=True)
+class Follow(OptionGroup):
+    """The folder into which a live depth camera writes its frames, and the files that describe it."""
+
+    follow: Annotated[
+        Path | None, typer.Option(metavar="DIR", help="Reconstruct the frames that are written into this folder.")
+    ] = None
+    camera: Annotated[Path | None, typer.Option(metavar="FILE", help="Of --follow: the camera.")] = None
+    background: Annotated[Path | None, typer.Option(metavar="FILE", help="Of --follow: the empty room.")] = None
+    idle: Annotated[
+        float | None, typer.Option(min=0.1, metavar="SECONDS", help="Of --follow: end so long after the last frame.")
+    ] = None
+
+
+@command(TRACK)
+def reconstruct(
+    store: StorePath,
+    recordings: RecordingsArgument = None,
+    *,
+    live: Follow,
+    only: OnlyOption = None,
+    body: BodyOption = "estimate",
+    form: Annotated[str, typer.Option(help="best; printed: as the thesis has it.")] = "best",
+    explain: ExplainOption = False,
+    frames: FramesOption = None,
+    options: Annotated[RunOptions, "assign force executor workers wait"],
+    as_json: JsonOption = False,
+) -> None:
+    """Make takes of recordings by a depth camera.
+
+    A recording becomes the take NAME_reconstructed, with poses of the store as memory. This is the pipeline `depth`.
+    Recordings that are unchanged stay as they are. With --follow the frames that a camera writes are reconstructed as
+    they appear, with the latency of each, until Ctrl-C, and are saved as the take FOLDER_live; --json prints a line
+    with the joints for each.
+    """
+    if live.follow is not None:
+        if live.camera is None or recordings is not None:
+            raise typer.BadParameter("--follow takes frames of a folder, and needs --camera FILE instead of RECORDINGS")
+        from kinedex.commands.live_depth import follow_and_save
+
+        follow_and_save(store, live, body, form, options.wait, as_json)
+        return
+    if recordings is None:
+        raise typer.BadParameter("name the recordings file, or follow a folder: --follow DIR --camera FILE")
+    from kinedex.pipelines.reconstruction.reconstructed_takes import explained_votes
+    from kinedex.storage.store.store import open_store
+
+    if frames is not None and not explain:
+        raise typer.BadParameter("--frames chooses what --explain lists; a recording is always reconstructed whole")
+    interval = None if frames is None else interval_of(frames)
+    settings = {"recordings": str(recordings), "reconstruct.body": body, "reconstruct.form": form}
+    outcome = options.run("depth", store, settings, {"reconstruct.only": json.dumps(only)} if only else None)
+    if not explain:
+        show_outcome(outcome, store, as_json)
+        return
+    takes = outcome.summaries["reconstruct"]["takes"]
+    assert isinstance(takes, list)
+    votes = explained_votes(open_store(store, at="newest"), "depth/reconstruct", takes, interval)
+    if as_json:
+        print_json({"store": store, "takes": takes, "votes": votes.to_pylist()})
+        return
+    show_outcome(outcome, store)
+    show_table(votes)

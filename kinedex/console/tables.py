@@ -219,7 +219,7 @@ def pairs(lines: Iterable[tuple[str, str]]) -> Table:
 
 def result_tables(parts: Sequence[ResultTable | Line]) -> RenderableType:
     """Return tables of results, and the lines between them, as rich shows them."""
-    shown = [_line(part) if isinstance(part, Line) else _result_table(part) for part in parts]
+    shown = [_line(part) if isinstance(part, Line) else result_table(part) for part in parts]
     return shown[0] if len(shown) == 1 else Group(*shown)
 
 
@@ -227,7 +227,8 @@ def _line(line: Line) -> Text:
     return Text(visible(line.text), style=_STYLES[line.tone])
 
 
-def _result_table(table: ResultTable) -> Table:
+def result_table(table: ResultTable) -> Table:
+    """Return a table of results as rich shows it."""
     wide, tall = table.layout == "wide", table.layout == "tall"
     shown = Table(
         title=table.title and escape(table.title),

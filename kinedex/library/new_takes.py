@@ -10,8 +10,15 @@ import numpy.typing as npt
 
 from kinedex.catalog.features import load_feature_set
 from kinedex.library.arguments import checked
-from kinedex.library.array_body import body_of_array, check_rate
-from kinedex.library.take import ANALYSIS_RATE_HZ, FEATURES, Take, feature_table, take_of_body
+from kinedex.library.take import (
+    ANALYSIS_RATE_HZ,
+    FEATURES,
+    Take,
+    body_of_array,
+    check_rate,
+    feature_table,
+    take_of_body,
+)
 
 if TYPE_CHECKING:
     import polars as pl

@@ -65,7 +65,7 @@ def write_page(
     'squats.html'
     """
     from kinedex.ops.wording import counted
-    from kinedex.reports.motion_pages.hits import template_examples, write_hits_page
+    from kinedex.reports.motion_pages.hits import HitsPage, template_examples, write_hits_page
 
     file = Path(path)
     if file.suffix.lower() not in (".html", ".htm"):
@@ -84,16 +84,9 @@ def write_page(
     examples = None
     if by == "template":
         examples = template_examples(store.stored, rows["template"].unique(maintain_order=True).to_list(), "soft")
-    write_hits_page(
-        store.stored,
-        rows.to_arrow(),
-        file,
-        title=title or counted(len(rows), "interval"),
-        lead=f"Intervals of takes of {store.path.resolve().name}.",
-        group=by,
-        examples=examples,
-        most=figures,
-    )
+    lead = f"Intervals of takes of {store.path.resolve().name}."
+    about = HitsPage(title or counted(len(rows), "interval"), lead, by, examples)
+    write_hits_page(store.stored, rows.to_arrow(), about, file, figures)
     return file
 
 

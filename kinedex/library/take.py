@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from functools import cached_property
 from pathlib import Path
@@ -12,8 +13,8 @@ import numpy.typing as npt
 
 from kinedex.catalog.features import FeatureSet, load_feature_set
 from kinedex.library.arguments import checked_methods
-from kinedex.library.array_body import body_of_array
-from kinedex.library.take_frames import F32, U64, Frames, FrameSource, LoadedFrames
+from kinedex.library.take_frames import Frames, FrameSource, LoadedFrames
+from kinedex.ops.arrays import F32, U64, Bool
 from kinedex.ops.errors import ParameterError
 from kinedex.ops.intervals import in_seconds
 from kinedex.ops.words import ALL_KNOWN, NO_WORD
@@ -23,6 +24,7 @@ if TYPE_CHECKING:
 
     from kinedex.storage.formats.motion.reader import Body
 
+
 ANALYSIS_RATE_HZ = 30.0
 """The rate at which takes are analysed, in frames per second."""
 
@@ -31,9 +33,6 @@ PLAYED_SECONDS = 120.0
 
 FEATURES = "body40"
 """The feature set that is used where none is named."""
-
-F64 = npt.NDArray[np.float64]
-Bool = npt.NDArray[np.bool_]
 
 
 @checked_methods
@@ -371,3 +370,62 @@ def take_of_body(name: str, body: Body, feature_set: FeatureSet, about: Mapping[
         **figures,
     }
     return Take(name, LoadedFrames(frames), len(words), feature_set, ANALYSIS_RATE_HZ, info)
+
+
+_BLOCK = 256  # frames that are transposed at a time, so that they stay in the cache
+
+
+def body_of_array(
+    positions: npt.ArrayLike,
+    rate: float,
+    feature_set: FeatureSet,
+    joints: Sequence[str] | None,
+    orientation: npt.ArrayLike | None,
+) -> Body:
+    """Return a body with the joint positions of an array."""
+    from kinedex.storage.formats.motion.points import root_orientation
+    from kinedex.storage.formats.motion.reader import Body
+
+    check_rate(rate)
+    names = feature_set.joints if joints is None else tuple(joints)
+    given = np.asarray(positions, np.float64)
+    if given.ndim != 3 or given.shape[1:] != (len(names), 3) or not len(given):
+        raise ParameterError("positions", f"of shape (frames, {len(names)}, 3) with at least 1 frame", given.shape)
+    odd = sorted(set(names) - set(feature_set.joints))
+    if odd or len(set(names)) < len(names):
+        raise ParameterError("joints", f"different names among {', '.join(feature_set.joints)}", odd or list(names))
+    placed = np.empty((len(feature_set.joints), 3, len(given)))
+    placed[[name not in names for name in feature_set.joints]] = np.nan
+    places = [feature_set.joints.index(name) for name in names]
+    for start in range(0, len(given), _BLOCK):
+        placed[places, :, start : start + _BLOCK] = given[start : start + _BLOCK].transpose(1, 2, 0)
+    lost: Bool = np.any(np.isnan(placed), axis=1)
+    unknown: Bool = np.all(lost, axis=1)
+    valid: Bool = ~np.any(lost[~unknown], axis=0)
+    if unknown.all() or not valid.any():
+        raise ParameterError("positions", "finite for every joint in at least one frame", "NaN in every frame")
+    warnings: list[str] = []
+    if orientation is None:
+        turned = root_orientation(placed, feature_set.joints, valid, warnings)
+    else:
+        turned = np.asarray(orientation, np.float64).T
+        if turned.shape != (4, len(given)):
+            raise ParameterError("orientation", f"of shape ({len(given)}, 4)", turned.T.shape)
+    return Body(
+        positions=placed,
+        orientation=np.ascontiguousarray(turned),
+        rate_hz=float(rate),
+        unit="1 m",
+        skeleton="array",
+        unknown=tuple(name for name, gone in zip(feature_set.joints, unknown, strict=True) if gone),
+        warnings=tuple(warnings),
+        valid=None if valid.all() else valid,
+    )
+
+
+def check_rate(rate: float) -> None:
+    """Raise a ParameterError if a rate is outside of the range that is allowed for motion files."""
+    from kinedex.storage.formats.motion.reader import FASTEST_HZ, SLOWEST_HZ
+
+    if not (math.isfinite(rate) and SLOWEST_HZ <= rate <= FASTEST_HZ):
+        raise ParameterError("rate", f"from {SLOWEST_HZ:g} to {FASTEST_HZ:g} frames per second", rate)

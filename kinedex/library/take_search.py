@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Literal
 
 from kinedex.library.take import Take
 from kinedex.library.take_collection import TakeCollection
-from kinedex.library.take_frames import U64
+from kinedex.ops.arrays import U64
 from kinedex.ops.errors import ParameterError
 from kinedex.storage.store.store import data_frame
 

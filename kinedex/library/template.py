@@ -1,4 +1,4 @@
-"""Motion templates as Python objects: learned from takes, made from one clip, or read from a file."""
+"""Motion templates as Python objects, learned from takes, made from a clip or read from a file, and their pictures."""
 
 from __future__ import annotations
 
@@ -29,7 +29,8 @@ from kinedex.pipelines.templates.template_text import contrast_lines, heading
 if TYPE_CHECKING:
     import polars as pl
 
-    from kinedex.library.picture import Picture
+    from kinedex.reports.matrix_figures import MatrixFigure
+
 
 Examples = Callable[[], Mapping[str, U64]]
 
@@ -297,8 +298,7 @@ class Template:
         >>> template.plot()
         Picture('squat')
         """
-        from kinedex.library.picture import Picture
-        from kinedex.reports.template_figures import template_figure
+        from kinedex.reports.matrix_figures import template_figure
 
         note = self.description.split(": ", 1)[-1]
         template = self.learned.learned.template
@@ -408,8 +408,7 @@ class Difference:
         >>> template.diff(Template.from_clip(take, name="other")).plot()
         Picture('squat and other')
         """
-        from kinedex.library.picture import Picture
-        from kinedex.reports.template_figures import contrast_figure
+        from kinedex.reports.matrix_figures import contrast_figure
 
         one, other = self._first.learned.learned.template, self._second.learned.learned.template
         note = str(self).splitlines()[0]
@@ -429,3 +428,71 @@ def _common_class(takes: list[Take]) -> str:
     if len(found) != 1 or any(not take.info.get("class") for take in takes):
         raise KinedexError(f"the takes are of {', '.join(found) or 'no class'}; pass `name`, the class of the template")
     return found[0]
+
+
+@checked_methods
+class Picture:
+    """A picture of a template or of the difference of two.
+
+    A notebook shows it as SVG.
+
+    Attributes
+    ----------
+    title : str
+        The title of the picture.
+
+    Examples
+    --------
+    >>> template.plot().svg().startswith("<svg")
+    True
+    """
+
+    def __init__(self, figure: MatrixFigure) -> None:
+        self.title = figure.title
+        self._figure = figure
+
+    def __repr__(self) -> str:
+        return f"Picture({self.title!r})"
+
+    def _repr_svg_(self) -> str:
+        return self.svg()
+
+    def svg(self) -> str:
+        """Return the picture as SVG.
+
+        Returns
+        -------
+        str
+            One ``svg`` element.
+
+        Examples
+        --------
+        >>> "</svg>" in template.plot().svg()
+        True
+        """
+        from kinedex.reports.matrix_figures import draw
+
+        return draw(self._figure, "svg").decode("utf-8")
+
+    def save(self, path: str | Path) -> None:
+        """Write the picture to a file.
+
+        Parameters
+        ----------
+        path : str or Path
+            A path ending in .svg or .png.
+
+        Raises
+        ------
+        KinedexError
+            The path has another ending.
+        OSError
+            The file cannot be written.
+
+        Examples
+        --------
+        >>> template.plot().save(folder / "template.png")
+        """
+        from kinedex.reports.matrix_figures import write_figure
+
+        write_figure(self._figure, Path(path))

@@ -1,4 +1,4 @@
-"""Track recordings of cameras from Python, and stabilise takes by priors of the archive."""
+"""Make takes of recordings from Python: track cameras, reconstruct depth, also live, and stabilise takes by priors."""
 
 from __future__ import annotations
 
@@ -8,12 +8,19 @@ from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
+import numpy as np
+import numpy.typing as npt
+
 from kinedex.library.arguments import checked
 from kinedex.library.pipeline import Executor, run_pipeline
+from kinedex.ops.arrays import F64
 from kinedex.pipelines.engine.runner import Outcome
 
 if TYPE_CHECKING:
     import polars as pl
+
+    from kinedex.ops.depth.tracker import FrameResult
+
 
 Priors = Literal["archive", "pose", "logical"]
 
@@ -172,3 +179,199 @@ def stabilise(
         for one in found
     ]
     return pl.DataFrame(rows)
+
+
+@checked
+def reconstruct(
+    store: str | os.PathLike[str],
+    recordings: str | Path,
+    *,
+    only: Iterable[str] = (),
+    body: str = "estimate",
+    form: Literal["best", "printed"] = "best",
+    direction: Literal["both", "forward"] = "both",
+    where: str = "class IS NOT NULL",
+    executor: Executor = "serial",
+    workers: int | None = None,
+    wait_seconds: float = 0.0,
+    verbose: bool = False,
+) -> Outcome:
+    """Reconstruct recordings of a depth camera: each becomes a take ``NAME_reconstructed``.
+
+    Parameters
+    ----------
+    store : str, os.PathLike or Store
+        The store, whose takes are the pose database. An open `Store` keeps showing the version that it was opened with.
+    recordings : str or Path
+        The recordings file: name of a recording → depth images, camera, background, rate, body, truth.
+    only : iterable of str, optional
+        The names of recordings; by default all of the file.
+    body : str, optional
+        A take of the person, whose bone lengths are used, or "estimate"; a body in the recordings file overrides it.
+    form : {"best", "printed"}
+        The form of the algorithm: "printed" is that of the thesis, "best" kinedex's improvement of it.
+    direction : {"both", "forward"}
+        "both" tracks forwards and backwards in time and takes the better pose of each frame; "forward" is as live.
+    where : str, optional
+        The takes of the pose database: a SQL filter over the columns of takes.
+    executor : {"serial", "processes", "dask"}
+        The way recordings are distributed over workers, as for `run_pipeline`.
+    workers : int, optional
+        The number of worker processes; by default the number of cores.
+    wait_seconds : float, optional
+        The time to wait while another process writes to the store; 0 fails at once.
+    verbose : bool, optional
+        True prints the messages of the stages.
+
+    Returns
+    -------
+    Outcome
+        What ran; ``outcome.summaries["reconstruct"]["takes"]`` has the names of the takes, and
+        ``outcome.summaries["evaluate_reconstruction"]["takes"]`` their mean errors in metres where the truth is known.
+
+    Raises
+    ------
+    KinedexError
+        The recordings file, or a file that it names, is invalid; the message names file, line and key.
+
+    Examples
+    --------
+    The command `kinedex simulate depth` films half a second of a take of the store.
+
+    >>> import shutil, subprocess, sys
+    >>> copy = shutil.copytree(store_path, folder / "copy")
+    >>> filmed = folder / "filmed"
+    >>> options = ["--frames", "0:15", "--seed", "1", "--output", filmed, "--quiet"]
+    >>> simulate = [sys.executable, "-m", "kinedex", "simulate", "depth", copy, take.name, *options]
+    >>> _ = subprocess.run(simulate, check=True)
+    >>> outcome = kinedex.reconstruct(copy, filmed / "recordings.yaml", direction="forward")
+    >>> len(outcome.summaries["reconstruct"]["takes"])
+    1
+    """
+    settings = {
+        "recordings": str(recordings), "reconstruct.only": list(only), "reconstruct.body": body,
+        "reconstruct.form": form, "reconstruct.direction": direction, "pose_database.where": where,
+    }  # fmt: skip
+    return run_pipeline(
+        "depth", store, settings, executor=executor, workers=workers, wait_seconds=wait_seconds, verbose=verbose
+    )
+
+
+class Reconstructor:
+    """Reconstructs the pose of a person from the frames of a depth camera, one after the other.
+
+    Parameters
+    ----------
+    store : str, os.PathLike or Store
+        The store, whose newest pose database is used, or without one the poses of all takes with a class.
+    camera : str or Path
+        The camera's YAML file: width, height, fx, fy, cx, cy, depth_unit_m, and `up` or `pose` where it is
+        tilted.
+    body : str or float, optional
+        A take of the person, whose bone lengths are used; the standing height in metres; or "estimate", which uses the
+        archive's mean body in the first second and then measures the body, in a step of some seconds. By default the
+        mean body is used.
+    background : str, Path or array (H, W), optional
+        The empty room: a depth image, or depths in metres; without it all measured pixels are taken for the person.
+    rate_hz : float, optional
+        Frames per second; by default those that the camera's file states, else 30.
+    form : {"best", "printed"}
+        The form of the algorithm: "printed" is that of the thesis, "best" kinedex's improvement of it.
+    stride : int, optional
+        Every stride-th row and column of pixels is used; by default chosen in the first frame that shows a person.
+
+    Raises
+    ------
+    KinedexError
+        The camera's file is invalid, or the store has no such take, or none for the pose database.
+
+    Examples
+    --------
+    An image in which nothing was measured shows no person.
+
+    >>> camera = "{width: 64, height: 48, fx: 60, fy: 60, cx: 31.5, cy: 23.5, depth_unit_m: 0.001}"
+    >>> _ = (folder / "camera.yaml").write_text(camera)
+    >>> person = kinedex.Reconstructor(store, folder / "camera.yaml", body=1.75)
+    >>> pose = person.step(np.zeros((48, 64)))
+    >>> pose.shape, bool(np.isnan(pose).all())
+    ((24, 3), True)
+    """
+
+    @checked
+    def __init__(
+        self,
+        store: str | os.PathLike[str],
+        camera: str | Path,
+        *,
+        body: str | float | None = None,
+        background: str | Path | npt.ArrayLike | None = None,
+        rate_hz: float | None = None,
+        form: Literal["best", "printed"] = "best",
+        stride: int | None = None,
+    ) -> None:
+        from kinedex.pipelines.reconstruction.live import LiveTracker
+
+        self._tracker = LiveTracker.open(Path(store), Path(camera), body, background, rate_hz, form, stride)
+        self.last: FrameResult | None = None
+        """The result of the last frame with its explanation, in the axes of the camera; None without a person yet."""
+
+    @property
+    def joints(self) -> tuple[str, ...]:
+        """The names of the 24 joints, in the order of a pose."""
+        from kinedex.ops.body.joint_tree import JOINTS
+
+        return JOINTS
+
+    @property
+    def height_m(self) -> float:
+        """The standing height of the body in metres."""
+        return self._tracker.bones.height_m
+
+    def step(self, depth: npt.ArrayLike) -> F64:
+        """Return the pose of the next frame.
+
+        Parameters
+        ----------
+        depth : array (H, W)
+            Integers in units of the camera, or floats in metres; 0 where nothing was measured.
+
+        Returns
+        -------
+        float64 array (24, 3)
+            The joints in metres, in the world if the camera has a pose, else with Y up and the camera above the
+            origin; NaN without a person.
+
+        Raises
+        ------
+        KinedexError
+            The image has another size than the camera's.
+
+        Examples
+        --------
+        >>> camera = "{width: 64, height: 48, fx: 60, fy: 60, cx: 31.5, cy: 23.5, depth_unit_m: 0.001}"
+        >>> _ = (folder / "camera.yaml").write_text(camera)
+        >>> person = kinedex.Reconstructor(store, folder / "camera.yaml", body=1.75)
+        >>> person.step(np.zeros((48, 64))).shape
+        (24, 3)
+        >>> person.last is None
+        True
+        """
+        self.last, pose = self._tracker.step(np.asarray(depth))
+        return pose
+
+    def skip(self, frames: int = 1) -> None:
+        """Skip frames that are missing; after more than 0.2 s the person is detected anew.
+
+        Parameters
+        ----------
+        frames : int, optional
+            The number of frames that are missing.
+
+        Examples
+        --------
+        >>> camera = "{width: 64, height: 48, fx: 60, fy: 60, cx: 31.5, cy: 23.5, depth_unit_m: 0.001}"
+        >>> _ = (folder / "camera.yaml").write_text(camera)
+        >>> person = kinedex.Reconstructor(store, folder / "camera.yaml", body=1.75)
+        >>> person.skip(3)
+        """
+        self._tracker.skip(frames)

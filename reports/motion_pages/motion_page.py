@@ -2,17 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 from markupsafe import Markup
 
-from kinedex.ops.body.joint_tree import JOINT_PARENTS
+from kinedex.ops.templates.nearest_clip import nearest_clips
 from kinedex.ops.wording import counted
 from kinedex.pipelines.engine.page_files import write_page
-from kinedex.reports.motion_pages.examples import Examples
+from kinedex.pipelines.templates.examples import Example
+from kinedex.pipelines.templates.stored_clips import words_of
 from kinedex.reports.motions import Motions, motions_json
 from kinedex.reports.page_environment import page_environment
 from kinedex.reports.palette import colour_rules, colour_slot
@@ -22,6 +23,12 @@ NOTHING = Markup("")
 
 MARGIN = 10
 """Frames before and after a clip that the player can show."""
+
+Place = tuple[str, int, int]
+"""A take, and the frames [start, stop) of it."""
+
+Examples = Mapping[str, Sequence[Place]]
+"""Intervals that serve as examples, by name: the clips of each template, for instance."""
 
 
 @dataclass(frozen=True)
@@ -128,15 +135,15 @@ def grouped(clips: Sequence[Clip], name_of: Callable[[Clip], str], most: int) ->
     ]
 
 
-def write_motion_page(store: Store, page: MotionPage, path: Path, examples: Examples | None = None) -> None:
-    """Write a page of moving figures.
+def write_motion_page(store: Store, page: MotionPage, path: Path, examples: Examples | None = None) -> str:
+    """Write a page of moving figures, and return the sentence about how many it shows.
 
     Parameters
     ----------
     store : Store
         The store of the takes.
     page : MotionPage
-        The content.
+        The content; equal content gives equal bytes.
     path : Path
         The file.
     examples : Examples, optional
@@ -147,16 +154,9 @@ def write_motion_page(store: Store, page: MotionPage, path: Path, examples: Exam
     KinedexError
         The folder of the file does not exist.
     """
-    write_page(render(store, page, examples), path)
-
-
-def render(store: Store, page: MotionPage, examples: Examples | None = None) -> str:
-    """Return the HTML of a page; parameters as for `write_motion_page`. Equal content gives equal bytes."""
-    return (
-        page_environment()
-        .get_template("figures.html.j2")
-        .render(title=page.title, page=page, **figures_of(store, page.groups, examples))
-    )
+    template = page_environment().get_template("figures.html.j2")
+    write_page(template.render(title=page.title, page=page, **figures_of(store, page.groups, examples)), path)
+    return page.amount
 
 
 def figures_of(store: Store, groups: Sequence[Group], examples: Examples | None = None) -> dict[str, Any]:
@@ -177,10 +177,10 @@ def figures_of(store: Store, groups: Sequence[Group], examples: Examples | None 
         The variables of the template: the motions, the nearest examples and the colours of the groups.
     """
     clips = [clip for group in groups for clip in group.clips]
-    motions = _empty(store).with_pieces(store, [(clip.take, clip.start, clip.stop) for clip in clips], MARGIN)
+    motions = Motions.none(store).with_pieces(store, [(clip.take, clip.start, clip.stop) for clip in clips], MARGIN)
     near: dict[Clip, tuple[int, str]] = {}
     if examples is not None:
-        found = {clip: one for clip, one in examples.nearest(store, clips).items() if one is not None}
+        found = _nearest(store, clips, examples)
         motions = motions.with_near(store, [(one.take, one.start, one.stop, one.frames) for one in found.values()])
         near = {clip: (place, one.take) for place, (clip, one) in enumerate(found.items())}
     light, dark = colour_rules(len(groups))
@@ -196,7 +196,19 @@ def figures_of(store: Store, groups: Sequence[Group], examples: Examples | None 
     }
 
 
-def _empty(store: Store) -> Motions:
-    joints = tuple(joint for joint in store.feature_set.joints if joint in JOINT_PARENTS)
-    parents = tuple(joints.index(parent) if (parent := JOINT_PARENTS[joint]) in joints else -1 for joint in joints)
-    return Motions((), joints, parents, "")
+def _nearest(store: Store, clips: Iterable[Clip], examples: Examples) -> dict[Clip, Example]:
+    """Return the nearest example of each clip that has examples, in the order of the clips."""
+    named: dict[str, list[Clip]] = {}
+    for clip in dict.fromkeys(clips):
+        if examples.get(clip.examples) and clip.start < clip.stop:
+            named.setdefault(clip.examples, []).append(clip)
+    takes = {clip.take for own in named.values() for clip in own}
+    takes |= {take for name in named for take, _, _ in examples[name]}
+    words = words_of(store, sorted(takes))
+    found: dict[Clip, Example] = {}
+    for name, own in named.items():
+        known = [words[take][start:stop] for take, start, stop in examples[name]]
+        parts = [words[clip.take][clip.start : clip.stop] for clip in own]
+        for clip, one in zip(own, nearest_clips(known, parts, len(store.feature_set.features)), strict=True):
+            found[clip] = Example(*examples[name][one.clip], one.cost, one.frames)
+    return {clip: found[clip] for clip in clips if clip in found}

@@ -66,8 +66,7 @@ def write_takes_page(
     title = f"Takes of {store.path.resolve().name}"
     lead = f"{counted(len(rows), 'take')}, {seconds / 60:.1f} minutes, by {by}."
     page = MotionPage(title, lead, "take", groups)
-    write_motion_page(store, page, path)
-    return page.amount
+    return write_motion_page(store, page, path)
 
 
 def _group_of(rows: Sequence[dict[str, Any]]) -> str:

@@ -7,9 +7,9 @@ from html import escape
 from pathlib import Path
 
 import numpy as np
-import numpy.typing as npt
 from markupsafe import Markup
 
+from kinedex.ops.arrays import F64, I64
 from kinedex.ops.body.joint_tree import JOINT_PARENTS
 from kinedex.ops.intervals import shown_seconds
 from kinedex.ops.templates.derived_templates import consistency
@@ -19,15 +19,11 @@ from kinedex.ops.words import NO_WORD, U64
 from kinedex.pipelines.templates.learning import SubclassTemplate
 from kinedex.pipelines.templates.stored_clips import clips_of
 from kinedex.pipelines.templates.template_text import heading
+from kinedex.reports.matrix_figures import row_names, set_rules, soft_colours
 from kinedex.reports.motion_pages import FIGURES
-from kinedex.reports.motion_pages.examples import Place
-from kinedex.reports.motion_pages.motion_page import Clip, Group, MotionPage, write_motion_page
-from kinedex.reports.template_figures import row_names, set_rules, soft_colours
+from kinedex.reports.motion_pages.motion_page import Clip, Group, MotionPage, Place, write_motion_page
 from kinedex.storage.snapshot.parts import joint_positions
 from kinedex.storage.store.store import Store
-
-F64 = npt.NDArray[np.float64]
-I64 = npt.NDArray[np.int64]
 
 _ROW, _FIGURE, _NAMES, _NOTES, _FOOT = 14, 72, 168, 44, 22
 _LEAST, _MOST, _WIDTH = 14, 30, 1080  # pixels of a column, and of all columns where they have room
@@ -74,8 +70,7 @@ def write_template_page(store: Store, one: SubclassTemplate, delta: float, path:
         head = Markup(_matrix(store, template, delta, figures))
     groups = [Group("Clips, the nearest to the template first", shown, len(clips))] if clips else []
     page = MotionPage(one.subclass, f"{heading(one, store.rate_hz)}.", "clip", groups, remarks, head)
-    write_motion_page(store, page, path)
-    return page.amount
+    return write_motion_page(store, page, path)
 
 
 def _aligned(template: Template, words: Sequence[U64], features: int) -> tuple[list[I64], list[float]]:

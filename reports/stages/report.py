@@ -12,10 +12,11 @@ from kinedex.pipelines.engine.context import StageContext
 from kinedex.pipelines.engine.page_files import write_page
 from kinedex.pipelines.engine.stage import Input, Stage
 from kinedex.reports.annotation_data import read_report_data
-from kinedex.reports.annotation_page import annotation_page, hits_to_play, pages_digest, shown_takes
+from kinedex.reports.annotation_page import annotation_page, hits_to_play, shown_takes
 from kinedex.reports.example_motions import with_hits
 from kinedex.reports.motions import embed
-from kinedex.reports.segment_list import SEGMENTS, csv_lines, in_order
+from kinedex.reports.overview import SEGMENTS, csv_lines, in_order
+from kinedex.reports.page_environment import pages_digest
 from kinedex.storage.store.store import Store
 
 

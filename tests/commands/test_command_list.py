@@ -15,8 +15,8 @@ from kinedex.commands.command_list import COMMANDS, PANELS
 
 FOLDER = Path(str(command_list.__file__)).parent
 NO_COMMANDS = {
-    *("__init__", "app", "cli", "command_list", "options", "output", "pages", "store_access"),
-    *("demo", "inertial_demo", "installation", "live_depth"),
+    *("__init__", "app", "cli", "command_list", "options", "output", "pages"),
+    *("demo", "live_depth"),
 }
 """Modules of the folder that register no command."""
 

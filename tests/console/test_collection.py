@@ -6,12 +6,12 @@ import json
 import subprocess
 import sys
 
-from kinedex.console.collection import FIRST
+from kinedex.commands.cli import FIRST
 
 PUT_OFF = """
 import gc, json, sys
 usual = gc.get_threshold()
-from kinedex.console.collection import put_off_collection
+from kinedex.commands.cli import put_off_collection
 put_off_collection(); put_off_collection()
 before = gc.get_threshold()
 kept = [[] for _ in range(before[0] + 10)]

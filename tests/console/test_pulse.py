@@ -9,7 +9,7 @@ import threading
 import pytest
 from rich.console import Console
 
-from kinedex.console import pulse
+from kinedex.console import terminal as pulse
 from kinedex.console.terminal import Terminal
 from kinedex.ops.wording import duration
 

@@ -17,7 +17,7 @@ from kinedex.ops.evaluation.metrics import Counts
 from kinedex.pipelines.evaluation.annotation_scores import Evaluation, Row, write_metrics
 from kinedex.pipelines.evaluation.differences import _difference_of, compared, content, markdown, without_repeats
 from kinedex.pipelines.evaluation.written_evaluations import MethodEvaluation, pairs, read_run
-from kinedex.reports.comparison_page import comparison_page
+from kinedex.reports.methods_page import comparison_page
 from kinedex.storage.snapshot.manifest import StageRecord
 from kinedex.storage.store.writer import StoreWriter
 from tests.pipelines.study import Reading

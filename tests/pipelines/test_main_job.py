@@ -10,7 +10,7 @@ from typing import Any
 import pytest
 from rich.console import Console
 
-from kinedex.commands.demo import run_demo
+from kinedex.commands.demo import Demo, run_demo
 from kinedex.pipelines.engine.runner import Outcome
 from kinedex.pipelines.search.search import load_query_file, search_store
 from kinedex.storage.store.store import open_store
@@ -25,7 +25,7 @@ MINUTES = 10.0
 
 def demo(store: Path, data: Path | None) -> tuple[Outcome, str]:
     message = io.StringIO()
-    outcome = run_demo(store, data, MINUTES, "processes", None, Console(file=message, width=160))
+    outcome = run_demo(Demo(store, MINUTES, "processes", None, Console(file=message, width=160)), data)
     return outcome, message.getvalue()
 
 

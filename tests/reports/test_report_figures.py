@@ -10,13 +10,12 @@ import pytest
 from kinedex.ops.errors import ParameterError
 from kinedex.ops.intervals import TakeSegment
 from kinedex.pipelines.engine.page_files import write_page
-from kinedex.reports.axes import time_axis
-from kinedex.reports.curves import HEIGHT, POINTS, curve_figure, line, minima, thin
 from kinedex.reports.data import Curve, Score, TakeRow
 from kinedex.reports.palette import CLASS_COLOURS
 from kinedex.reports.pixels import SCALE, quantised_image, soft_image, wildcard_share
+from kinedex.reports.plots import time_axis
 from kinedex.reports.take_selection import choose_takes, median_take, worst_middle_best
-from kinedex.reports.timelines import timeline
+from kinedex.reports.timelines import HEIGHT, POINTS, curve_figure, line, minima, thin, timeline
 from tests.pipelines.study import FRAMES, study
 
 

@@ -19,11 +19,19 @@ from kinedex.pipelines.labels.selection import Selection, selected
 from kinedex.reports.annotation_page import annotation_page, confirmations, hits_to_play
 from kinedex.reports.archive_strip import BINS, archive_strip
 from kinedex.reports.data import ReportData, TakeRow
-from kinedex.reports.overview import class_findings, group_findings, most_doubtful, surest, totals
+from kinedex.reports.overview import (
+    LOOKS,
+    MOST_ROWS,
+    class_findings,
+    csv_lines,
+    group_findings,
+    in_order,
+    most_doubtful,
+    surest,
+    totals,
+)
 from kinedex.reports.palette import CLASS_COLOURS
-from kinedex.reports.segment_list import LOOKS, MOST_ROWS, csv_lines, in_order
-from kinedex.reports.take_groups import take_groups
-from kinedex.reports.take_selection import choose_takes, findings_of
+from kinedex.reports.take_selection import choose_takes, findings_of, take_groups
 from tests.pipelines.study import FRAMES, Reading, study
 
 

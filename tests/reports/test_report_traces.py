@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from kinedex.reports.traces import HEIGHT, WIDTH, trace
+from kinedex.reports.cards import HEIGHT, WIDTH, trace
 
 
 def test_a_trace_falls_from_left_to_right_and_ends_below_the_threshold():

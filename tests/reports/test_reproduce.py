@@ -9,8 +9,8 @@ from pathlib import Path
 import pytest
 
 from kinedex.pipelines.engine.config import load_pipeline
+from kinedex.reports.annotation_data import command
 from kinedex.reports.data import StageRow
-from kinedex.reports.reproduction import command
 
 
 @pytest.mark.parametrize("source", ["/archive", "/my archive #1", "/a: b", "/it's 'here'", "/2024"])

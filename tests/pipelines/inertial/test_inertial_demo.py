@@ -9,7 +9,7 @@ import pyarrow as pa
 import pytest
 from typer.testing import CliRunner
 
-from kinedex.commands import demo, inertial_demo
+from kinedex.commands import demo
 from kinedex.commands.cli import app
 from kinedex.console.terminal import Console
 from kinedex.ops.errors import KinedexError
@@ -59,7 +59,7 @@ def test_figures_compare_clocks_mounts_and_agreement_with_the_truth(tmp_path: Pa
         table = pa.Table.from_pylist(rows, schema=result_schema("limb_error_metrics"))
         writer.put_results("limb_error_metrics", table, stage="chapter7/evaluate_limb_errors", run="run-1")
         writer.commit()
-    lines = inertial_demo.figures(open_store(tmp_path / "store", at="newest"), tmp_path)
+    lines = demo.figures(open_store(tmp_path / "store", at="newest"), tmp_path)
     assert [line.strip() for line in lines] == [
         "against the truth of the simulated sensors:",
         "1 offset of clocks: off by 3.0 ms at most",
@@ -79,5 +79,5 @@ def test_an_archive_without_long_takes_is_an_error(tmp_path: Path, monkeypatch: 
 
     monkeypatch.setattr(demo, "make_archive", make)
     with pytest.raises(KinedexError, match=r"no take of 1 minutes of motion lasts 15 s.*use --minutes 3"):
-        inertial_demo.run_inertial_demo(tmp_path / "store", 1.0, "serial", None, Console(quiet=True))
+        demo.run_inertial_demo(demo.Demo(tmp_path / "store", 1.0, "serial", None, Console(quiet=True)))
     assert not list(tmp_path.glob("*recordings*"))

@@ -12,8 +12,7 @@ import pytest
 from rich.console import Console
 
 from kinedex.catalog.classes import load_classes
-from kinedex.console.pulse import Pulse
-from kinedex.console.terminal import Progress
+from kinedex.console.terminal import Progress, Pulse
 from kinedex.ops.errors import KinedexError, ParameterError
 from kinedex.ops.synth.performance import MOTIONS
 from kinedex.pipelines.synth.archive import Summary, write_archive

@@ -11,7 +11,7 @@ import pytest
 from typer.testing import CliRunner
 
 from kinedex.commands.cli import app
-from kinedex.console.hidden_rows import hidden_rows_hints
+from kinedex.console.sql_prompt import hidden_rows_hints
 from kinedex.ops.errors import StoreError
 from kinedex.storage.snapshot.manifest import Source, StageRecord
 from kinedex.storage.snapshot.schemas import result_schema
