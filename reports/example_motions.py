@@ -13,9 +13,8 @@ from kinedex.ops.words import U64
 from kinedex.pipelines.engine.display import Progress, no_progress
 from kinedex.pipelines.evaluation.folds import TestTake
 from kinedex.pipelines.evaluation.study import SplitResult, Study, take_title
-from kinedex.pipelines.templates.examples import Example
 from kinedex.pipelines.templates.learning import TrainingClips
-from kinedex.pipelines.templates.stored_clips import Key, clip_intervals, nearest_examples, words_of
+from kinedex.pipelines.templates.stored_clips import Key, NearestExample, clip_intervals, nearest_examples, words_of
 from kinedex.reports.data import Template
 from kinedex.reports.motions import MOST_BYTES, Motions
 from kinedex.storage.store.store import Store
@@ -88,7 +87,7 @@ def with_study(
     near : dict of (title, class, start, stop) to int
         The place of each nearest example in `motions.near`.
     """
-    near: dict[Key, Example] = {}
+    near: dict[Key, NearestExample] = {}
     shown = [(result, name) for result in study.splits for name in dict.fromkeys(result.shown().values())]
     with progress("nearest examples", len(shown)) as bar:
         for result, name in shown:
@@ -115,7 +114,7 @@ def _by_class(
 
 def _of_take(
     store: Store, title: str, take: TestTake, result: SplitResult, clips: Mapping[str, list[tuple[str, int, int]]]
-) -> dict[Key, Example]:
+) -> dict[Key, NearestExample]:
     """Return the nearest example of each segment of a take."""
     named = {take_id: name for name, take_id in store.take_ids.items()}
     whole: U64 = np.concatenate([*words_of(store, [named[part] for part in take.take_ids]).values()])
@@ -132,6 +131,6 @@ def _of_take(
             features = len(store.feature_set.features)
             nearest = nearest_clips(parts, [whole[start:stop] for start, stop in places], features)
             for (start, stop), one_near in zip(places, nearest, strict=True):
-                example = Example(*clips[label][one_near.clip], one_near.cost, one_near.frames)
+                example = NearestExample(*clips[label][one_near.clip], one_near.cost, one_near.frames)
                 found[title, label, start, stop] = example
     return found

@@ -12,8 +12,7 @@ from markupsafe import Markup
 from kinedex.ops.templates.nearest_clip import nearest_clips
 from kinedex.ops.wording import counted
 from kinedex.pipelines.engine.page_files import write_page
-from kinedex.pipelines.templates.examples import Example
-from kinedex.pipelines.templates.stored_clips import words_of
+from kinedex.pipelines.templates.stored_clips import NearestExample, words_of
 from kinedex.reports.motions import Motions, motions_json
 from kinedex.reports.page_environment import page_environment
 from kinedex.reports.palette import colour_rules, colour_slot
@@ -196,7 +195,7 @@ def figures_of(store: Store, groups: Sequence[Group], examples: Examples | None 
     }
 
 
-def _nearest(store: Store, clips: Iterable[Clip], examples: Examples) -> dict[Clip, Example]:
+def _nearest(store: Store, clips: Iterable[Clip], examples: Examples) -> dict[Clip, NearestExample]:
     """Return the nearest example of each clip that has examples, in the order of the clips."""
     named: dict[str, list[Clip]] = {}
     for clip in dict.fromkeys(clips):
@@ -205,10 +204,10 @@ def _nearest(store: Store, clips: Iterable[Clip], examples: Examples) -> dict[Cl
     takes = {clip.take for own in named.values() for clip in own}
     takes |= {take for name in named for take, _, _ in examples[name]}
     words = words_of(store, sorted(takes))
-    found: dict[Clip, Example] = {}
+    found: dict[Clip, NearestExample] = {}
     for name, own in named.items():
         known = [words[take][start:stop] for take, start, stop in examples[name]]
         parts = [words[clip.take][clip.start : clip.stop] for clip in own]
         for clip, one in zip(own, nearest_clips(known, parts, len(store.feature_set.features)), strict=True):
-            found[clip] = Example(*examples[name][one.clip], one.cost, one.frames)
+            found[clip] = NearestExample(*examples[name][one.clip], one.cost, one.frames)
     return {clip: found[clip] for clip in clips if clip in found}
