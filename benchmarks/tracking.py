@@ -21,8 +21,9 @@ from kinedex.ops.cameras.projection import camera_centre, pixel_directions
 from kinedex.ops.simulation.recording import Setup, simulated_recording, take_generators
 from kinedex.ops.tracking.band import Band, assemble, make_band, move, solve_band, take_cost
 from kinedex.ops.tracking.blocks import TrackProblem, prior_arrays
+from kinedex.ops.tracking.contours import Observed
 from kinedex.ops.tracking.first_track import find_start, first_track
-from kinedex.ops.tracking.observations import BodyPoints, Observed, Rays
+from kinedex.ops.tracking.observations import BodyPoints, Rays
 from kinedex.ops.tracking.rays import make_evidence
 from kinedex.ops.tracking.take_tracker import connected_triples, smoothness_weights, track_take
 from kinedex.pipelines.simulation.camera_recordings import limbs_of

@@ -9,7 +9,7 @@ from typing import Any
 from pydantic import BaseModel, ConfigDict, Field
 
 from kinedex.catalog.configs import Located
-from kinedex.catalog.features import PRIMITIVES, Feature, WordSet
+from kinedex.catalog.feature_definitions import PRIMITIVES, Feature, WordSet
 from kinedex.ops.body.feature_rules import COMPARISONS, JOINTS_OF, Rule, Term
 from kinedex.ops.errors import did_you_mean
 

@@ -10,8 +10,9 @@ import numpy.typing as npt
 
 from kinedex.ops.body.kinematic_chain import ChainBody, Poses
 from kinedex.ops.priors.stabilise import Track
+from kinedex.ops.tracking.contours import Observed
 from kinedex.ops.tracking.first_track import FirstTrack, first_track
-from kinedex.ops.tracking.observations import BodyPoints, Observed, PriorTerms, Rays
+from kinedex.ops.tracking.observations import BodyPoints, PriorTerms, Rays
 from kinedex.ops.tracking.take_tracker import SCHEDULE, track_take
 from kinedex.ops.tracking.trust import exchanged_sides, restart, trust
 

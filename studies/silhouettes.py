@@ -32,9 +32,9 @@ from kinedex.ops.priors.constraints import template_marks
 from kinedex.ops.priors.stabilise import LOGICAL, Settings, stabilise
 from kinedex.ops.simulation.recording import CameraRing, ring_of_cameras
 from kinedex.ops.templates.templates import quantise
-from kinedex.ops.tracking.contours import Silhouettes
+from kinedex.ops.tracking.contours import Observed, Silhouettes
 from kinedex.ops.tracking.frame_tracker import FrameTrack, track_frames
-from kinedex.ops.tracking.observations import Observed, PriorTerms
+from kinedex.ops.tracking.observations import PriorTerms
 from kinedex.ops.tracking.views import View, camera_view, render_mask
 from kinedex.pipelines.evaluation.markdown import grid
 

@@ -10,16 +10,18 @@ correspondences are summed, and added to its H and g (Eq. 6.4).
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import NamedTuple, Protocol
 
 import numpy as np
 from numba import njit
 
-from kinedex.ops.arrays import F64, I64, U8
+from kinedex.ops.arrays import F64, I64, U8, Bool
 from kinedex.ops.body.capsules import Capsules
-from kinedex.ops.body.kinematic_chain import ChainArrays, point_jacobian
+from kinedex.ops.body.kinematic_chain import ChainArrays, ChainBody, point_jacobian
 from kinedex.ops.errors import ParameterError
 from kinedex.ops.tracking.blocks import FrameRoom, add_point
+from kinedex.ops.tracking.observations import LEAST_CONFIDENCE, BodyPoints, Places, Rays
 from kinedex.ops.tracking.views import View, capsule_box, mask_pixel, ray_distance, seen_joints
 
 SPACING_M = 0.03
@@ -89,6 +91,57 @@ class Silhouettes(NamedTuple):
                 constant.flags.writeable = False
                 found.append((view, constant))
         return found
+
+
+@dataclass(frozen=True, eq=False)
+class Observed:
+    """The observations of a recording, or the joints of a 3D track, of one body.
+
+    Attributes
+    ----------
+    body : ChainBody
+        The body.
+    rate_hz : float
+        Frames per second.
+    observations : Rays or Places or None
+        Rays of keypoints, or positions of joints, in T frames; None if there are only silhouettes.
+    points : BodyPoints, optional
+        The points of the body to which the rays belong.
+    silhouettes : Silhouettes, optional
+        Masks in calibrated cameras.
+    cuts : tuple of int
+        Frames at which the motion is not continuous with the frame before.
+    """
+
+    body: ChainBody
+    rate_hz: float
+    observations: Rays | Places | None
+    points: BodyPoints | None = None
+    silhouettes: Silhouettes | None = None
+    cuts: tuple[int, ...] = ()
+
+    @property
+    def frames(self) -> int:
+        """The number of frames of the recording."""
+        if isinstance(self.observations, Rays):
+            return len(self.observations.confidence)
+        if self.observations is not None:
+            return len(self.observations.places)
+        assert self.silhouettes is not None
+        return len(self.silhouettes.masks)
+
+    @property
+    def seen(self) -> Bool:
+        """The frames that have any observation, bool (T,)."""
+        seen = np.zeros(self.frames, np.bool_)
+        if isinstance(self.observations, Rays):
+            seen |= (self.observations.confidence >= LEAST_CONFIDENCE).any(axis=(1, 2))
+        elif self.observations is not None:
+            seen |= np.isfinite(self.observations.places.sum(axis=2)).any(axis=1)
+        if self.silhouettes is not None:
+            masks = self.silhouettes.masks
+            seen |= [any(mask is not None and mask.any() for mask in masks[t]) for t in range(len(masks))]
+        return seen
 
 
 class Contours(NamedTuple):

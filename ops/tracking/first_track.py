@@ -8,7 +8,8 @@ import numpy as np
 
 from kinedex.ops.body.kinematic_chain import ChainBody, Poses
 from kinedex.ops.errors import ParameterError
-from kinedex.ops.tracking.observations import BodyPoints, Observed, Places, Rays
+from kinedex.ops.tracking.contours import Observed
+from kinedex.ops.tracking.observations import BodyPoints, Places, Rays
 from kinedex.ops.tracking.rays import SIGMA_PX
 from kinedex.ops.tracking.take_tracker import SCHEDULE, Loss, TakeTrack, track_take
 from kinedex.ops.tracking.triangulation import (

@@ -40,6 +40,7 @@ from kinedex.ops.tracking.blocks import (
 from kinedex.ops.tracking.contours import (
     HALF,
     ContourSums,
+    Observed,
     add_contours,
     add_sums,
     contour_room,
@@ -47,7 +48,7 @@ from kinedex.ops.tracking.contours import (
     find_contours,
     sums_cost,
 )
-from kinedex.ops.tracking.observations import Observed, Places, PriorTerms, Rays
+from kinedex.ops.tracking.observations import Places, PriorTerms, Rays
 from kinedex.ops.tracking.rays import SIGMA_PX, make_evidence, point_cost
 from kinedex.ops.tracking.triangulation import start_from_places, start_from_triangulation, triangulate
 from kinedex.ops.tracking.views import View, count_overlap

@@ -10,12 +10,11 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from kinedex.ops.arrays import F64, I64, Bool
+from kinedex.ops.arrays import F64, I64
 from kinedex.ops.errors import ParameterError
 
 if TYPE_CHECKING:
-    from kinedex.ops.body.kinematic_chain import ChainBody
-    from kinedex.ops.tracking.contours import Silhouettes
+    pass
 
 LEAST_CONFIDENCE = 0.1
 """Confidence below which a keypoint counts as not seen."""
@@ -93,57 +92,6 @@ class Places:
     def __post_init__(self) -> None:
         if self.places.shape != (*self.sigma_m.shape, 3):
             raise ParameterError("places", f"of shape {(*self.sigma_m.shape, 3)}", self.places.shape)
-
-
-@dataclass(frozen=True, eq=False)
-class Observed:
-    """The observations of a recording, or the joints of a 3D track, of one body.
-
-    Attributes
-    ----------
-    body : ChainBody
-        The body.
-    rate_hz : float
-        Frames per second.
-    observations : Rays or Places or None
-        Rays of keypoints, or positions of joints, in T frames; None if there are only silhouettes.
-    points : BodyPoints, optional
-        The points of the body to which the rays belong.
-    silhouettes : Silhouettes, optional
-        Masks in calibrated cameras.
-    cuts : tuple of int
-        Frames at which the motion is not continuous with the frame before.
-    """
-
-    body: ChainBody
-    rate_hz: float
-    observations: Rays | Places | None
-    points: BodyPoints | None = None
-    silhouettes: Silhouettes | None = None
-    cuts: tuple[int, ...] = ()
-
-    @property
-    def frames(self) -> int:
-        """The number of frames of the recording."""
-        if isinstance(self.observations, Rays):
-            return len(self.observations.confidence)
-        if self.observations is not None:
-            return len(self.observations.places)
-        assert self.silhouettes is not None
-        return len(self.silhouettes.masks)
-
-    @property
-    def seen(self) -> Bool:
-        """The frames that have any observation, bool (T,)."""
-        seen = np.zeros(self.frames, np.bool_)
-        if isinstance(self.observations, Rays):
-            seen |= (self.observations.confidence >= LEAST_CONFIDENCE).any(axis=(1, 2))
-        elif self.observations is not None:
-            seen |= np.isfinite(self.observations.places.sum(axis=2)).any(axis=1)
-        if self.silhouettes is not None:
-            masks = self.silhouettes.masks
-            seen |= [any(mask is not None and mask.any() for mask in masks[t]) for t in range(len(masks))]
-        return seen
 
 
 @dataclass(frozen=True, eq=False)

@@ -23,8 +23,8 @@ from kinedex.ops.body.kinematic_chain import PLACES, ChainBody, Poses, forward
 from kinedex.ops.errors import ParameterError
 from kinedex.ops.tracking.band import assemble, make_band, move, solve_band, take_cost
 from kinedex.ops.tracking.blocks import TrackProblem, observation_costs, prior_arrays
-from kinedex.ops.tracking.contours import Silhouettes, add_contours, contour_room, contour_sums, find_contours
-from kinedex.ops.tracking.observations import Observed, Places, PriorTerms, no_priors
+from kinedex.ops.tracking.contours import Observed, Silhouettes, add_contours, contour_room, contour_sums, find_contours
+from kinedex.ops.tracking.observations import Places, PriorTerms, no_priors
 from kinedex.ops.tracking.rays import SIGMA_PX, make_evidence
 
 Loss = Literal["geman_mcclure", "squares"]

@@ -10,9 +10,10 @@ import numpy as np
 from kinedex.ops.arrays import F64, I64, Bool
 from kinedex.ops.body.kinematic_chain import ChainBody, Poses, forward
 from kinedex.ops.priors.stabilise import Track
+from kinedex.ops.tracking.contours import Observed
 from kinedex.ops.tracking.first_track import first_track
 from kinedex.ops.tracking.frame_tracker import track_frames
-from kinedex.ops.tracking.observations import LEAST_CONFIDENCE, Observed, Places, PriorTerms, Rays
+from kinedex.ops.tracking.observations import LEAST_CONFIDENCE, Places, PriorTerms, Rays
 from kinedex.ops.tracking.rays import LEAST_DEPTH_M, SIGMA_PX
 from kinedex.ops.tracking.take_tracker import SCHEDULE, Loss, TakeTrack, track_take, track_take_on_silhouettes
 from kinedex.ops.tracking.trust import SEEN, TRUST_WIDTH, Trust, exchanged_sides, restart, trust

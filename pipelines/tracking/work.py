@@ -18,8 +18,8 @@ from kinedex.ops.intervals import shown_seconds
 from kinedex.ops.priors.archive_poses import Motion
 from kinedex.ops.priors.stabilise import Settings, Track, stabilise
 from kinedex.ops.tracking.body_estimate import estimate_body, mean_body
-from kinedex.ops.tracking.contours import Silhouettes
-from kinedex.ops.tracking.observations import Observed, Places
+from kinedex.ops.tracking.contours import Observed, Silhouettes
+from kinedex.ops.tracking.observations import Places
 from kinedex.ops.tracking.rays import SIGMA_PX
 from kinedex.ops.tracking.triangulation import triangulate
 from kinedex.ops.tracking.views import camera_view

@@ -14,7 +14,8 @@ from kinedex.ops.errors import ParameterError
 from kinedex.ops.priors.archive_poses import Motion, pose_table
 from kinedex.ops.priors.stabilise import Settings, StabilisedTrack, Track, stabilise
 from kinedex.ops.templates.templates import QuantisedTemplate
-from kinedex.ops.tracking.observations import Observed, Places, PriorTerms
+from kinedex.ops.tracking.contours import Observed
+from kinedex.ops.tracking.observations import Places, PriorTerms
 from kinedex.ops.tracking.take_tracker import TakeTrack, track_take
 from kinedex.ops.tracking.trust import restart, trust
 from tests.ops.body.test_kinematic_chain import BODY, CHAIN

@@ -13,8 +13,9 @@ import pytest
 from kinedex.ops.body.kinematic_chain import ChainBody, Poses
 from kinedex.ops.body.pose_fit import measured_body
 from kinedex.ops.errors import ParameterError
+from kinedex.ops.tracking.contours import Observed
 from kinedex.ops.tracking.first_track import find_start, first_track
-from kinedex.ops.tracking.observations import BodyPoints, Observed, Places, Rays
+from kinedex.ops.tracking.observations import BodyPoints, Places, Rays
 from kinedex.ops.tracking.triangulation import filled, start_from_places, start_from_triangulation, triangulate
 from kinedex.ops.tracking.trust import interpolated, restart, trust
 from tests.ops.tracking.filmed_bodies import BODY, CHAIN, LIMBS, filmed, joint_places, keypoints, moving_poses

@@ -9,9 +9,9 @@ from kinedex.ops.body.kinematic_chain import Poses, forward, pose_joints, pose_n
 from kinedex.ops.body.pose_fit import fit_poses
 from kinedex.ops.errors import ParameterError
 from kinedex.ops.tracking import frame_tracker as module
-from kinedex.ops.tracking.contours import ContourSums, Silhouettes
+from kinedex.ops.tracking.contours import ContourSums, Observed, Silhouettes
 from kinedex.ops.tracking.frame_tracker import FrameTrack, track_frames
-from kinedex.ops.tracking.observations import BodyPoints, Observed, Places, PriorTerms, Rays, no_priors
+from kinedex.ops.tracking.observations import BodyPoints, Places, PriorTerms, Rays, no_priors
 from kinedex.ops.tracking.views import render_mask
 from tests.ops.tracking.scene import BODY, CAPSULES, CHAIN, JOINTS, cameras
 from tests.plain_python import slow_as_python

@@ -7,9 +7,8 @@ import pytest
 
 from kinedex.ops.body.kinematic_chain import Poses, forward
 from kinedex.ops.errors import ParameterError
-from kinedex.ops.tracking.contours import Silhouettes, add_contours, contour_room, contour_sums, find_contours
+from kinedex.ops.tracking.contours import Observed, Silhouettes, add_contours, contour_room, contour_sums, find_contours
 from kinedex.ops.tracking.frame_tracker import track_frames
-from kinedex.ops.tracking.observations import Observed
 from kinedex.ops.tracking.take_tracker import (
     TakeTrack,
     silhouette_terms,

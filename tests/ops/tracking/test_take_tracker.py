@@ -10,8 +10,9 @@ from kinedex.ops.errors import ParameterError
 from kinedex.ops.tracking import take_tracker
 from kinedex.ops.tracking.band import assemble, make_band, solve_band
 from kinedex.ops.tracking.blocks import TrackProblem, prior_arrays
+from kinedex.ops.tracking.contours import Observed
 from kinedex.ops.tracking.first_track import find_start, first_track
-from kinedex.ops.tracking.observations import Observed, Places, PriorTerms, Rays, no_priors
+from kinedex.ops.tracking.observations import Places, PriorTerms, Rays, no_priors
 from kinedex.ops.tracking.rays import make_evidence
 from kinedex.ops.tracking.take_tracker import connected_triples, smoothness_weights, track_take, windows
 from tests.ops.tracking.filmed_bodies import BODY, CHAIN, LIMBS, filmed, joint_places, keypoints, moving_poses

@@ -17,7 +17,8 @@ from kinedex.catalog.kinematics import load_kinematic_chain
 from kinedex.commands.cli import app
 from kinedex.ops.body.kinematic_chain import ChainBody
 from kinedex.ops.errors import KinedexError
-from kinedex.ops.tracking.observations import Observed, Places
+from kinedex.ops.tracking.contours import Observed
+from kinedex.ops.tracking.observations import Places
 from kinedex.pipelines.engine.runner import run_pipeline
 from kinedex.pipelines.tracking import runs
 from kinedex.pipelines.tracking.recordings import stored_recording
