@@ -10,7 +10,8 @@ from typing import Annotated, Any
 from pydantic import BaseModel, BeforeValidator, ConfigDict, Field
 
 from kinedex.catalog.configs import Located
-from kinedex.catalog.features import FeatureSet, WordSet
+from kinedex.catalog.feature_definitions import WordSet
+from kinedex.catalog.features import FeatureSet
 from kinedex.catalog.queries.keyframe_query import SAME_FRAME, Gap, Keyframe
 from kinedex.ops.errors import KinedexError, ParameterError, did_you_mean
 from kinedex.ops.search.gaps import UNBOUNDED

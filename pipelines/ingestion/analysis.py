@@ -7,7 +7,8 @@ from typing import Any
 
 import numpy as np
 
-from kinedex.catalog.features import Feature, FeatureSet
+from kinedex.catalog.feature_definitions import Feature
+from kinedex.catalog.features import FeatureSet
 from kinedex.catalog.quality import quality_columns, quality_warnings
 from kinedex.catalog.quality_figures import FIGURES
 from kinedex.ops.arrays import F64, U64

@@ -14,7 +14,8 @@ from typing import Any
 
 import pyarrow as pa
 
-from kinedex.catalog.features import PRIMITIVES, FeatureSet
+from kinedex.catalog.feature_definitions import PRIMITIVES
+from kinedex.catalog.features import FeatureSet
 from kinedex.catalog.skeletons.mappings import Mappings
 from kinedex.ops.errors import KinedexError, SourceError
 from kinedex.pipelines.engine.code_digest import code_digest, part_digest, plugin_digest

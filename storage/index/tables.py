@@ -18,7 +18,8 @@ from typing import NamedTuple
 import numpy as np
 import pyarrow as pa
 
-from kinedex.catalog.features import FeatureSet, WordSet
+from kinedex.catalog.feature_definitions import WordSet
+from kinedex.catalog.features import FeatureSet
 from kinedex.catalog.sql.views import VIEWS
 from kinedex.ops.errors import StoreError
 from kinedex.ops.search.inverted_lists import MOST_COUNTED, InvertedLists, inverted_lists

@@ -18,7 +18,8 @@ import yaml
 from rich.console import Console
 
 from kinedex.catalog.configs import config_path
-from kinedex.catalog.features import PRIMITIVES, load_feature_set
+from kinedex.catalog.feature_definitions import PRIMITIVES
+from kinedex.catalog.features import load_feature_set
 from kinedex.catalog.plugins import PluginError
 from kinedex.console.terminal import Terminal
 from kinedex.ops.errors import KinedexError
