@@ -8,12 +8,12 @@ import threading
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal
+from typing import Literal
 
 import numpy as np
 import typer
 
-from kinedex.commands.options import wait_of
+from kinedex.commands.options import Follow, wait_of
 from kinedex.commands.output import print_message
 from kinedex.ops.depth.lookup import near_maps
 from kinedex.ops.errors import KinedexError
@@ -22,9 +22,6 @@ from kinedex.pipelines.reconstruction.followed_folder import FollowedFrame, foll
 from kinedex.pipelines.reconstruction.live import LiveRecording, LiveTracker, put_live_take, write_live_motion
 from kinedex.pipelines.recordings.runs import COMPILING, is_compiled, renew_index
 from kinedex.storage.store.store import open_store
-
-if TYPE_CHECKING:
-    from kinedex.commands.tracking import Follow
 
 PATIENCE_S = 600.0
 """Seconds to wait for another writer of the store before a take is saved, unless --wait is given."""

@@ -310,3 +310,16 @@ def writer_of(opened: Store, wait: float | None) -> StoreWriter:
     from kinedex.storage.store.writer import StoreWriter
 
     return StoreWriter.open(opened.path, opened.feature_set, opened.rate_hz, wait_of(wait))
+
+
+class Follow(OptionGroup):
+    """The folder into which a live depth camera writes its frames, and the files that describe it."""
+
+    follow: Annotated[
+        Path | None, typer.Option(metavar="DIR", help="Reconstruct the frames that are written into this folder.")
+    ] = None
+    camera: Annotated[Path | None, typer.Option(metavar="FILE", help="Of --follow: the camera.")] = None
+    background: Annotated[Path | None, typer.Option(metavar="FILE", help="Of --follow: the empty room.")] = None
+    idle: Annotated[
+        float | None, typer.Option(min=0.1, metavar="SECONDS", help="Of --follow: end so long after the last frame.")
+    ] = None

@@ -9,8 +9,9 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from kinedex.commands.app import TRACK, OptionGroup, command
+from kinedex.commands.app import TRACK, command
 from kinedex.commands.options import (
+    Follow,
     JsonOption,
     RunOptions,
     StorePath,
@@ -156,19 +157,6 @@ FramesOption = Annotated[
 
 
 @dataclass(frozen=True)
-class Follow(OptionGroup):
-    """The folder into which a live depth camera writes its frames, and the files that describe it."""
-
-    follow: Annotated[
-        Path | None, typer.Option(metavar="DIR", help="Reconstruct the frames that are written into this folder.")
-    ] = None
-    camera: Annotated[Path | None, typer.Option(metavar="FILE", help="Of --follow: the camera.")] = None
-    background: Annotated[Path | None, typer.Option(metavar="FILE", help="Of --follow: the empty room.")] = None
-    idle: Annotated[
-        float | None, typer.Option(min=0.1, metavar="SECONDS", help="Of --follow: end so long after the last frame.")
-    ] = None
-
-
 @command(TRACK)
 def reconstruct(
     store: StorePath,
