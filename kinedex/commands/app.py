@@ -13,7 +13,7 @@ from contextlib import contextmanager, suppress
 from dataclasses import asdict, fields
 from importlib import import_module
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, TypeVar, get_args, get_origin, get_type_hints
+from typing import Annotated, Any, TypeVar, get_args, get_origin, get_type_hints
 
 import typer
 from typer.core import TyperCommand, TyperGroup
@@ -27,9 +27,6 @@ from kinedex.commands.command_list import TRACK as TRACK
 from kinedex.console.plain_values import convert_plain_values
 from kinedex.ops.errors import KinedexError, Remedy
 from kinedex.ops.wording import visible_lines
-
-if TYPE_CHECKING:
-    pass
 
 FAILED, LEFT_OUT, TIMED_OUT, INTERRUPTED = 1, 3, 124, 130
 """Exit codes: failed; done, but source files or labels were excluded; `--timeout` ended it; Ctrl-C stopped it."""
