@@ -312,6 +312,7 @@ def writer_of(opened: Store, wait: float | None) -> StoreWriter:
     return StoreWriter.open(opened.path, opened.feature_set, opened.rate_hz, wait_of(wait))
 
 
+@dataclass(frozen=True)
 class Follow(OptionGroup):
     """The folder into which a live depth camera writes its frames, and the files that describe it."""
 

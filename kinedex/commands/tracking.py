@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -156,7 +155,6 @@ FramesOption = Annotated[
 ]
 
 
-@dataclass(frozen=True)
 @command(TRACK)
 def reconstruct(
     store: StorePath,
