@@ -24,6 +24,17 @@ from kinedex.pipelines.templates.learning import SubclassTemplate, TrainingClips
 from kinedex.storage.store.store import Store
 
 
+class Combination(BaseModel):
+    """A motion that consists of other motions in sequence."""
+
+    model_config = ConfigDict(extra="forbid")
+
+    parts: list[str] = Field(min_length=2, description="subclasses, in their order in time")
+    gap: int = Field(
+        0, ge=0, description="columns of wildcards between two parts: about gap/2 to 2 gap frames of anything"
+    )
+
+
 class TemplateParameters(ExampleParameters):
     """The parameters of the stage `learn_templates`, and of stages that repeat its learning."""
 
@@ -150,17 +161,6 @@ def completed(
     if not every:
         raise KinedexError("there is no template: no clip to learn from, and none in `template_files`")
     return sorted(every, key=lambda one: (one.subclass, kinds.index(one.kind)))
-
-
-class Combination(BaseModel):
-    """A motion that consists of other motions in sequence."""
-
-    model_config = ConfigDict(extra="forbid")
-
-    parts: list[str] = Field(min_length=2, description="subclasses, in their order in time")
-    gap: int = Field(
-        0, ge=0, description="columns of wildcards between two parts: about gap/2 to 2 gap frames of anything"
-    )
 
 
 def feature_weights(weights: Mapping[str, float], feature_set: FeatureSet) -> F64 | None:
