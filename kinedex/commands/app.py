@@ -262,6 +262,27 @@ def _group_of(kind: Any) -> tuple[type[OptionGroup], list[str]] | None:
     return group, names[0].split() if names else [one.name for one in fields(group) if one.init]  # type: ignore[arg-type]
 
 
+def _unfolded(
+    signature: inspect.Signature, groups: dict[str, tuple[type[OptionGroup], list[str]]]
+) -> list[inspect.Parameter]:
+    """Return the parameters of a command with the options of its groups in their places, and the common options."""
+    parameters: list[inspect.Parameter] = []
+    for name, one in signature.parameters.items():
+        if name not in groups:
+            parameters.append(one)
+            continue
+        group, options = groups[name]
+        kinds = get_type_hints(group, include_extras=True)
+        parameters += [
+            inspect.Parameter(option, one.kind, default=getattr(group, option), annotation=kinds[option])
+            for option in options
+        ]
+    return parameters + [
+        inspect.Parameter(name, inspect.Parameter.KEYWORD_ONLY, default=default, annotation=kind)
+        for name, (kind, default) in COMMON_OPTIONS.items()
+    ]
+
+
 def _guarded(function: Callable[..., None]) -> Callable[..., None]:
     """Wrap a command: add the common options, and print one message and set the exit code if it fails."""
     signature = inspect.signature(function, eval_str=True)
@@ -314,21 +335,7 @@ def _guarded(function: Callable[..., None]) -> Callable[..., None]:
             return
         raise typer.Exit(FAILED)
 
-    parameters: list[inspect.Parameter] = []
-    for name, one in signature.parameters.items():
-        if name not in groups:
-            parameters.append(one)
-            continue
-        group, options = groups[name]
-        kinds = get_type_hints(group, include_extras=True)
-        parameters += [
-            inspect.Parameter(option, one.kind, default=getattr(group, option), annotation=kinds[option])
-            for option in options
-        ]
-    parameters += [
-        inspect.Parameter(name, inspect.Parameter.KEYWORD_ONLY, default=default, annotation=kind)
-        for name, (kind, default) in COMMON_OPTIONS.items()
-    ]
+    parameters = _unfolded(signature, groups)
     guarded.__signature__ = signature.replace(parameters=parameters)  # type: ignore[attr-defined]
     guarded.__annotations__ = {one.name: one.annotation for one in parameters}
     return guarded
