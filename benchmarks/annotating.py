@@ -18,12 +18,12 @@ from benchmarks.harness import Figure, seconds, sized
 from kinedex.catalog.classes import load_classes
 from kinedex.catalog.features import FeatureSet
 from kinedex.catalog.queries.keyframe_query import Gap, Keyframe, KeyframeQuery
-from kinedex.ops.templates.templates import Learned, QuantisedTemplate, Template, learn_soft, quantise
+from kinedex.ops.templates.templates import LearnedTemplate, QuantisedTemplate, Template, learn_soft, quantise
 from kinedex.ops.words import TakeWords
 from kinedex.pipelines.annotation.annotators import Annotator, make_annotator
-from kinedex.pipelines.annotation.batches import BATCH_FRAMES, annotate_words, ranges_of
+from kinedex.pipelines.annotation.batches import BATCH_FRAMES, annotate_words, matched_ranges
 from kinedex.pipelines.annotation.methods import BestMethod
-from kinedex.pipelines.templates.learning import SubclassTemplate
+from kinedex.pipelines.templates.template_learning import SubclassTemplate
 from kinedex.storage.store.store import Store
 
 FRAMES, SUBCLASSES, COLUMNS = *sized((133_019, 69), (6_000, 8)), 50
@@ -66,7 +66,7 @@ def figures(store: Store) -> list[Figure]:
 
 def _share(annotator: Annotator, batches: list[TakeWords]) -> float:
     """Return the fraction of the frames within the ranges, margins included, averaged over the templates."""
-    inside = sum(int((own[:, 1] - own[:, 0]).sum()) for batch in batches for own in ranges_of(annotator, batch))
+    inside = sum(int((own[:, 1] - own[:, 0]).sum()) for batch in batches for own in matched_ranges(annotator, batch))
     return inside / len(annotator.templates) / sum(len(batch.words) for batch in batches)
 
 
@@ -104,7 +104,7 @@ def _templates(store: Store) -> list[SubclassTemplate]:
         own = [words.take(place[take]) for take in group.sort("name")["take_id"].to_list()][:3]
         values = learn_soft(own, len(store.feature_set.features)).template.values
         resampled = values[np.linspace(0, len(values) - 1, COLUMNS).round().astype(int)]
-        learned = Learned(Template(resampled, np.ones(COLUMNS)), 1, (0.0,) * len(own))
+        learned = LearnedTemplate(Template(resampled, np.ones(COLUMNS)), 1, (0.0,) * len(own))
         found.append(SubclassTemplate(f"{label} {actor}", "soft", learned, tuple(group["name"].to_list())))
     while len(found) < SUBCLASSES:
         again = found[len(found) % clips.select(pl.struct("class", "actor").n_unique()).item()]

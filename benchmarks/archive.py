@@ -6,7 +6,7 @@ from pathlib import Path
 
 from benchmarks.harness import BUILD, silent, sized
 from kinedex.pipelines.engine.runner import run_pipeline
-from kinedex.pipelines.synth.archive import write_archive
+from kinedex.pipelines.simulation.synthetic_archive import write_archive
 from kinedex.storage.store.store import Store, open_store
 
 MINUTES = sized(12.0, 2.0)

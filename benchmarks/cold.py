@@ -6,7 +6,7 @@ import sys
 import time
 
 from kinedex.catalog.queries.query_reader import read_queries
-from kinedex.pipelines.search.search import search_store
+from kinedex.pipelines.keyframes.store_search import search_store
 from kinedex.storage.store.store import open_store
 
 

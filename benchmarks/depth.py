@@ -16,10 +16,10 @@ from kinedex.catalog.filmed_bodies import load_filmed_body
 from kinedex.ops.body.joint_tree import JOINTS
 from kinedex.ops.depth.image_search import depth_view
 from kinedex.ops.depth.points import FrameCloud, Preparation, ray_table
-from kinedex.ops.depth.pose_database import bone_lengths_of
 from kinedex.ops.depth.pose_fit import RETRIEVED_SIGMA_M, SAMPLED_POINTS, STEPS, PoseFit, cost_of
+from kinedex.ops.depth.thinned_poses import bone_lengths_of
 from kinedex.ops.simulation.depth_sensors import SENSORS, UNIT_M
-from kinedex.pipelines.simulation.depth_recordings import film_take
+from kinedex.pipelines.simulation.simulated_depth import film_take
 from kinedex.storage.snapshot.parts import joint_positions
 from kinedex.storage.store.store import Store
 

@@ -21,21 +21,21 @@ from kinedex.ops.body.joint_tree import JOINTS
 from kinedex.ops.depth.extrema import (
     COUNT,
     Extrema,
-    ExtremaRoom,
-    extrema_room,
+    ExtremaBuffers,
+    extrema_buffers,
     find_source,
     geodesic_extrema,
     tips_first,
 )
 from kinedex.ops.depth.facing_direction import point_centre
-from kinedex.ops.depth.graph import PointGraph, build_graph, graph_room
+from kinedex.ops.depth.graph import PointGraph, build_graph, graph_buffers
 from kinedex.ops.depth.image_search import depth_view
 from kinedex.ops.depth.nearest_pixels import nearest_pixels
 from kinedex.ops.depth.points import FrameCloud, Preparation, ray_table
-from kinedex.ops.depth.pose_database import bone_directions, bone_lengths_of, thin_poses
+from kinedex.ops.depth.thinned_poses import bone_directions, bone_lengths_of, thin_poses
 from kinedex.ops.depth.tracker import Reconstructor
 from kinedex.ops.simulation.depth_sensors import SENSORS, UNIT_M
-from kinedex.pipelines.simulation.depth_recordings import film_take
+from kinedex.pipelines.simulation.simulated_depth import film_take
 from kinedex.storage.snapshot.parts import joint_positions
 from kinedex.storage.store.store import Store
 
@@ -67,9 +67,9 @@ def figures(store: Store) -> list[Figure]:
     plain = mean_of_best(made, lambda k: plain_pass(made, k, 1))
     library, reason = _scipy(made)
     anew = mean_of_best(made, lambda k: [plain_pass(made, k, count) for count in range(1, COUNT + 1)], 3)
-    room = extrema_room(max(len(cloud.points) for cloud in made.clouds))
-    twenty = mean_of_best(made, lambda k: _ordered_extrema(made, k, room))
-    first = mean_of_best(made, lambda k: geodesic_extrema(made.graphs[k], made.sources[k], 1, room))
+    buffers = extrema_buffers(max(len(cloud.points) for cloud in made.clouds))
+    twenty = mean_of_best(made, lambda k: _ordered_extrema(made, k, buffers))
+    first = mean_of_best(made, lambda k: geodesic_extrema(made.graphs[k], made.sources[k], 1, buffers))
     one = f"a plain pass over {points:,} points"
     return [
         _figure("plain pass of Dijkstra's algorithm", plain, reason or "scipy's", library),
@@ -126,19 +126,19 @@ def _copied(cloud: FrameCloud) -> FrameCloud:
 
 def _parts(made: Recording) -> dict[str, Callable[[int], object]]:
     """Return the parts of a frame before its poses, by name."""
-    room = graph_room(max(len(cloud.points) for cloud in made.clouds))
+    buffers = graph_buffers(max(len(cloud.points) for cloud in made.clouds))
     return {
         "foreground and cleaning": lambda k: made.preparation.prepare(made.images[k]),
-        "edges, components and links": lambda k: build_graph(made.clouds[k], room=room),
+        "edges, components and links": lambda k: build_graph(made.clouds[k], buffers=buffers),
         "source": lambda k: find_source(made.clouds[k], made.graphs[k]),
         "centre of the points": lambda k: point_centre(made.clouds[k].points),
-        "nearest pixels": lambda k: nearest_pixels(made.clouds[k].numbers, made.clouds[k].box, made.clouds[k].room),
+        "nearest pixels": lambda k: nearest_pixels(made.clouds[k].numbers, made.clouds[k].box, made.clouds[k].buffers),
     }
 
 
-def _ordered_extrema(made: Recording, k: int, room: ExtremaRoom) -> Extrema:
-    found = geodesic_extrema(made.graphs[k], made.sources[k], COUNT, room)
-    return tips_first(made.clouds[k], made.graphs[k], found, room)
+def _ordered_extrema(made: Recording, k: int, buffers: ExtremaBuffers) -> Extrema:
+    found = geodesic_extrema(made.graphs[k], made.sources[k], COUNT, buffers)
+    return tips_first(made.clouds[k], made.graphs[k], found, buffers)
 
 
 def _whole(made: Recording) -> float:
@@ -156,9 +156,11 @@ def plain_pass(made: Recording, k: int, count: int) -> int:
     """Run Dijkstra's algorithm on the graph of a frame, from its source and the first extrema; return visited nodes."""
     graph = made.graphs[k]
     sources = np.concatenate([[made.sources[k]], made.extrema[k].nodes[: count - 1]])
-    room = np.empty(len(graph.lengths) + count)
-    nodes = np.empty(len(room), np.int32)
-    return int(dijkstra(graph.starts, graph.neighbours, graph.lengths, sources, np.empty(len(graph.body)), room, nodes))
+    buffers = np.empty(len(graph.lengths) + count)
+    nodes = np.empty(len(buffers), np.int32)
+    return int(
+        dijkstra(graph.starts, graph.neighbours, graph.lengths, sources, np.empty(len(graph.body)), buffers, nodes)
+    )
 
 
 @njit(nogil=True)

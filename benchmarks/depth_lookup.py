@@ -16,8 +16,8 @@ from numba import njit
 from benchmarks.harness import Figure, seconds, sized
 from kinedex.library.new_takes import read
 from kinedex.ops.body.joint_tree import JOINTS
-from kinedex.ops.depth.pose_database import bone_directions, bone_lengths_of, place_directions
 from kinedex.ops.depth.pose_index import PoseIndex, pose_features
+from kinedex.ops.depth.thinned_poses import bone_directions, bone_lengths_of, place_directions
 from kinedex.ops.errors import ParameterError
 from kinedex.storage.snapshot.parts import joint_positions
 from kinedex.storage.store.store import Store

@@ -22,18 +22,18 @@ from kinedex.ops.depth.points import Preparation
 from kinedex.ops.depth.tracker import Reconstructor
 from kinedex.pipelines.engine.executors import make_executor
 from kinedex.pipelines.engine.runner import run_pipeline
-from kinedex.pipelines.reconstruction import runs as reconstruction_runs
+from kinedex.pipelines.reconstruction import reconstruction_runs
 from kinedex.pipelines.reconstruction.parameters import ReconstructParameters
 from kinedex.pipelines.reconstruction.reconstructed_takes import ReconstructionResult
-from kinedex.pipelines.reconstruction.runs import ReconstructTask, reconstruct_recording
-from kinedex.pipelines.recordings import runs
-from kinedex.pipelines.simulation.depth_recordings import RECORDINGS, Request, simulate_depth
+from kinedex.pipelines.reconstruction.reconstruction_runs import ReconstructTask, reconstruct_recording
+from kinedex.pipelines.simulation.simulated_depth import RECORDINGS, DepthRequest, simulate_depth
+from kinedex.pipelines.tracking import recording_runs
 from kinedex.storage.formats.depth.frames import DepthFrames
 from kinedex.storage.store.store import Store, open_store
 from kinedex.storage.store.writer import StoreWriter
 
 FRAMES, RECORDED, RUNS_WHOLE = sized((120, 2, 3), (12, 2, 1))
-MOST_AROUND = 10.0
+MAX_AROUND = 10.0
 """Preparing points and writing are to take so many percent of the time at most."""
 
 PARTS: dict[str, tuple[str, tuple[tuple[Any, str], ...]]] = {
@@ -44,8 +44,8 @@ PARTS: dict[str, tuple[str, tuple[tuple[Any, str], ...]]] = {
         "writing",
         (
             (ReconstructionResult, "table"),
-            (runs, "put_takes"),
-            (runs, "put_beside"),
+            (recording_runs, "put_takes"),
+            (recording_runs, "put_beside"),
             (StoreWriter, "commit"),
         ),
     ),
@@ -69,8 +69,8 @@ def figures(store: Store) -> list[Figure]:
             f"{FRAME_PASSES} plain passes", frames * FRAME_PASSES * plain,
         ),
         Figure(
-            "depth: preparing points and writing, of the stage's time", share, "%", None, f"at most {MOST_AROUND:g} %",
-            other_amount=MOST_AROUND,
+            "depth: preparing points and writing, of the stage's time", share, "%", None, f"at most {MAX_AROUND:g} %",
+            other_amount=MAX_AROUND,
         ),
         *(
             Figure(f"depth: {name}, of the stage's time", 100 * parts[key] / whole, "%", None)
@@ -87,7 +87,7 @@ def _copy_with_recordings(store: Store, folder: Path) -> Path:
     path = folder / "store"
     shutil.copytree(store.path, path)
     takes = store.takes().sort("frames", "name", descending=[True, False])["name"].to_list()[:RECORDED]
-    request = Request(tuple(takes), None, 1, "tof", interval=(0, FRAMES))
+    request = DepthRequest(tuple(takes), None, 1, "tof", interval=(0, FRAMES))
     simulate_depth(open_store(path), request, folder / "recordings", silent().progress)
     file = folder / "recordings" / RECORDINGS
     content = yaml.safe_load(file.read_text())

@@ -19,10 +19,10 @@ from kinedex.catalog.queries.query_reader import read_queries
 from kinedex.console.terminal import make_console
 from kinedex.ops.distances.dtw import distance_curves
 from kinedex.ops.templates.templates import quantise
-from kinedex.pipelines.ranking.store_ranking import DELTA, RankingQuestion, rank_store
-from kinedex.pipelines.search.bit_slices import stored_words
-from kinedex.pipelines.search.query_proposal import propose_query
-from kinedex.pipelines.search.search import search_store
+from kinedex.pipelines.keyframes.proposed_query import propose_query
+from kinedex.pipelines.keyframes.slice_search import stored_words
+from kinedex.pipelines.keyframes.store_search import search_store
+from kinedex.pipelines.templates.store_ranking import DELTA, RankingQuestion, rank_store
 from kinedex.pipelines.templates.stored_templates import template_from_clip
 from kinedex.storage.store.store import Store
 

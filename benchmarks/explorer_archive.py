@@ -30,7 +30,7 @@ from benchmarks.archive import store as small_store
 from benchmarks.harness import sized
 from kinedex.catalog.features import FeatureSet
 from kinedex.ops.body import features
-from kinedex.ops.body.facing_direction import mirrored_places, mirrored_quaternions
+from kinedex.ops.body.facing_direction import mirrored_positions, mirrored_quaternions
 from kinedex.pipelines.engine.executors import cores, make_executor
 from kinedex.storage.formats.labels.formats import read_labels
 from kinedex.storage.index.builder import build_index
@@ -166,10 +166,10 @@ def _cut_many(path: Path, source: Store) -> None:
 
 def _add(
     writer: FramesWriter, feature_set: FeatureSet, take_id: int, name: str, actor: str, label: str | None,
-    places: F64, turns: F64,
+    places: F64, rotations: F64,
 ) -> dict[str, Any]:  # fmt: skip
     """Write the frames of a take, and return its row."""
-    positions, orientation = np.ascontiguousarray(places.transpose(1, 2, 0)), np.ascontiguousarray(turns.T)
+    positions, orientation = np.ascontiguousarray(places.transpose(1, 2, 0)), np.ascontiguousarray(rotations.T)
     words = features.words(positions, orientation, RATE_HZ, feature_set.rules)
     writer.add(take_id, positions, orientation, words)
     return _row(take_id, name, len(words), actor, label, hashlib.sha256(words.tobytes()).hexdigest())
@@ -220,21 +220,21 @@ def pieces_of(source: Path) -> tuple[Piece, ...]:
     found = []
     for row in known.takes().sort("take_id").iter_rows(named=True):
         table = known.frames(row["name"])
-        places = joint_positions(table, known.feature_set.joints).transpose(2, 0, 1).astype(np.float64)
-        turns = np.stack(
+        positions = joint_positions(table, known.feature_set.joints).transpose(2, 0, 1).astype(np.float64)
+        rotations = np.stack(
             [one.to_numpy() for one in table.column("root_orientation").combine_chunks().flatten()], axis=1
         )
         if row["class"] is not None:
             label = row["class"]
-            found.append(Piece(places, turns.astype(np.float64), ((label, 0, len(places)),), label))
+            found.append(Piece(positions, rotations.astype(np.float64), ((label, 0, len(positions)),), label))
             continue
         labels = sorted(truth.get(row["name"], []), key=lambda one: one[1])
-        cuts = [0, *(one[1] for one in labels[1:]), len(places)]
+        cuts = [0, *(one[1] for one in labels[1:]), len(positions)]
         for start, stop in pairwise(cuts):
             own = tuple(
                 (name, max(a, start) - start, min(b, stop) - start) for name, a, b in labels if start <= a < stop
             )
-            found.append(Piece(places[start:stop], turns[start:stop].astype(np.float64), own))
+            found.append(Piece(positions[start:stop], rotations[start:stop].astype(np.float64), own))
     return tuple(piece for piece in found if len(piece.positions) > FADE)
 
 
@@ -271,35 +271,35 @@ def perform(pieces: Iterator[Piece], joints: Sequence[str], frames: int, actor: 
         for one, start in zip(found, starts[:-1].tolist(), strict=True)
         for name, a, b in one.labels
     )
-    positions, turns = (
+    positions, rotations = (
         np.concatenate(each) for each in ([one.positions for one in found], [one.orientation for one in found])
     )
-    return Piece(positions, turns, labels, found[0].label)
+    return Piece(positions, rotations, labels, found[0].label)
 
 
 def _changed(piece: Piece, joints: Sequence[str], size: float, rng: np.random.Generator) -> Piece:
     """Return a piece mirrored or not, in another tempo, with smooth deviations, on a body of some size."""
-    places, turns, labels, label = piece.positions, piece.orientation, piece.labels, piece.label
+    positions, rotations, labels, label = piece.positions, piece.orientation, piece.labels, piece.label
     if rng.random() < 0.5:
-        places, turns = mirrored_places(places, joints), mirrored_quaternions(turns)
+        positions, rotations = mirrored_positions(positions, joints), mirrored_quaternions(rotations)
         labels = tuple((other_side(name), a, b) for name, a, b in labels)
         label = None if label is None else other_side(label)
     tempo = float(np.exp(rng.uniform(-0.25, 0.25)))
-    count = max(FADE + 1, round(len(places) * tempo))
-    at = np.linspace(0, len(places) - 1, count)
-    low = np.minimum(at.astype(np.int64), len(places) - 2)
+    count = max(FADE + 1, round(len(positions) * tempo))
+    at = np.linspace(0, len(positions) - 1, count)
+    low = np.minimum(at.astype(np.int64), len(positions) - 2)
     share = at - low
-    places = places[low] + (places[low + 1] - places[low]) * share[:, None, None]
-    turns = turns[low] + (turns[low + 1] - turns[low]) * share[:, None]
-    turns /= np.linalg.norm(turns, axis=1, keepdims=True)
+    positions = positions[low] + (positions[low + 1] - positions[low]) * share[:, None, None]
+    rotations = rotations[low] + (rotations[low + 1] - rotations[low]) * share[:, None]
+    rotations /= np.linalg.norm(rotations, axis=1, keepdims=True)
     knots = rng.normal(0.0, DEVIATION_M, (count // KNOT + 2, len(joints), 3))
     at = np.arange(count) / KNOT
     low = at.astype(np.int64)
     share = ((1 - np.cos(np.pi * (at - low))) / 2)[:, None, None]
-    places = size * (places + knots[low] * (1 - share) + knots[low + 1] * share)
+    positions = size * (positions + knots[low] * (1 - share) + knots[low + 1] * share)
     longer = count / len(piece.positions)
     labels = tuple((name, round(a * longer), min(count, round(b * longer))) for name, a, b in labels)
-    return Piece(places, turns, labels, label)
+    return Piece(positions, rotations, labels, label)
 
 
 def other_side(name: str) -> str:
@@ -318,18 +318,18 @@ def _joined(before: Piece, piece: Piece, joints: Sequence[str]) -> Piece:
     root = list(joints).index("root")
     flat = np.array([1.0, 0.0, 1.0])
     turned = (piece.positions - flat * piece.positions[0, root]) @ np.array([[cos, 0, -sin], [0, 1, 0], [sin, 0, cos]])
-    places = turned + flat * last[root]
+    positions = turned + flat * last[root]
     w, x, y, z = piece.orientation.T
     c, s = np.cos(angle / 2), np.sin(angle / 2)
-    turns = np.stack([c * w - s * y, c * x + s * z, c * y + s * w, c * z - s * x], axis=1)
+    rotations = np.stack([c * w - s * y, c * x + s * z, c * y + s * w, c * z - s * x], axis=1)
     share = (1 + np.cos(np.pi * np.arange(1, FADE + 1) / (FADE + 1))) / 2
-    places[:FADE] += share[:, None, None] * (last - places[0])
-    return Piece(places, turns, piece.labels, piece.label)
+    positions[:FADE] += share[:, None, None] * (last - positions[0])
+    return Piece(positions, rotations, piece.labels, piece.label)
 
 
-def _heading(places: F64, joints: Sequence[str]) -> float:
+def _heading(positions: F64, joints: Sequence[str]) -> float:
     """Return the angle about Y of the line through the hips."""
-    across = places[list(joints).index("lhip")] - places[list(joints).index("rhip")]
+    across = positions[list(joints).index("lhip")] - positions[list(joints).index("rhip")]
     return float(np.arctan2(-across[2], across[0]))
 
 

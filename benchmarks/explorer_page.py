@@ -56,7 +56,7 @@ from kinedex.catalog.queries.query_writer import write_queries
 from kinedex.console.terminal import make_console
 from kinedex.explorer.application import BUILT
 from kinedex.pipelines.engine.runner import run_pipeline
-from kinedex.pipelines.ranking.store_ranking import RankingQuestion, rank_store
+from kinedex.pipelines.templates.store_ranking import RankingQuestion, rank_store
 from kinedex.pipelines.templates.stored_templates import template_from_clip
 from kinedex.storage.store.store import Store, open_store
 

@@ -15,7 +15,7 @@ from benchmarks.archive import BUILD
 from benchmarks.harness import Figure, seconds, sized
 from kinedex.catalog.features import FeatureSet
 from kinedex.ops.words import TakeWords
-from kinedex.storage.duck import connect, quote
+from kinedex.storage.duckdb_sql import connect, quote
 from kinedex.storage.index.builder import build_index
 from kinedex.storage.store.store import Store, open_store
 from tests.storage.made_up import make_word_store

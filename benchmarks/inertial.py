@@ -12,10 +12,10 @@ from scipy import signal
 from scipy.spatial.transform import Rotation
 
 from benchmarks.harness import Figure, seconds, sized
-from kinedex.ops.inertial.disagreement import errors
+from kinedex.ops.inertial.disagreement import frame_errors
 from kinedex.ops.inertial.hand_eye import Stream, calibrate
 from kinedex.ops.inertial.rotations import Z_TO_Y, angular_speed, conjugate, exp, multiply
-from kinedex.ops.inertial.time_offset import CUTOFF_HZ, RATE_HZ, Speeds, find
+from kinedex.ops.inertial.time_offset import CUTOFF_HZ, RATE_HZ, Speeds, find_offset
 from kinedex.storage.store.store import Store
 
 F64 = npt.NDArray[np.float64]
@@ -56,8 +56,8 @@ def calibration_figure() -> Figure:
 
     def pairs() -> None:
         own, other = (Rotation.from_quat(stream[:, [1, 2, 3, 0]]) for stream in (sensor, track))
-        turns = [(one[first].inv() * one[second]).as_rotvec() for one in (other, own)]
-        Rotation.align_vectors(*turns)
+        rotations = [(one[first].inv() * one[second]).as_rotvec() for one in (other, own)]
+        Rotation.align_vectors(*rotations)
 
     took = seconds(lambda: calibrate([stream]))
     return Figure(
@@ -80,7 +80,7 @@ def error_figure() -> Figure:
         world, mount = (Rotation.from_quat(q[[1, 2, 3, 0]]) for q in (Z_TO_Y, MOUNT))
         return np.asarray((other.inv() * (world * own * mount.inv())).magnitude())
 
-    took = seconds(lambda: errors(sensor, track, Z_TO_Y, MOUNT, axis))
+    took = seconds(lambda: frame_errors(sensor, track, Z_TO_Y, MOUNT, axis))
     other = "scipy Rotation, without swing and twist"
     return Figure("errors, swings and twists", ERRORS / 1e6, "M frames", took, other, seconds(by_scipy))
 
@@ -96,6 +96,6 @@ def lag_figure() -> Figure:
         smooth = signal.sosfiltfilt(sections, speed - speed.mean())
         np.argmax(signal.correlate(smooth, smooth, method="fft"))
 
-    took = seconds(lambda: find([limb]))
+    took = seconds(lambda: find_offset([limb]))
     other = "scipy correlate, overlaps not weighed"
     return Figure("lag of a sensor over 3 min", LAG_S, "s of recording", took, other, seconds(by_scipy))

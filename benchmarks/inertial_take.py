@@ -13,12 +13,12 @@ import polars as pl
 
 from benchmarks.archive import BUILD
 from benchmarks.harness import Figure, seconds, silent, sized
-from kinedex.ops.synth.body import Actor, cast
+from kinedex.ops.synth.body import Actor, draw_actor
 from kinedex.ops.synth.performance import perform_take
 from kinedex.ops.synth.solve import columns
 from kinedex.pipelines.engine.runner import run_pipeline
-from kinedex.pipelines.simulation.imu_recordings import RECORDINGS, SENSORS, Request, simulate_imu
-from kinedex.pipelines.simulation.imu_sensors import Wearing
+from kinedex.pipelines.simulation.imu_recordings import RECORDINGS, SENSORS, ImuRequest, simulate_imu
+from kinedex.pipelines.simulation.imu_sensors import WearOptions
 from kinedex.storage.formats.motion.acclaim_writer import Dialect, write_amc, write_asf
 from kinedex.storage.store.store import Store, open_store
 
@@ -53,12 +53,12 @@ def _files(folder: Path) -> tuple[Path, Path]:
     if not (sensors / SENSORS).is_file():
         shutil.rmtree(folder, ignore_errors=True)
         take.mkdir(parents=True)
-        _write_take(take, cast(0, SEED))
+        _write_take(take, draw_actor(0, SEED))
         path = folder / "source"
         run_pipeline("ingest", path, assignments={"source": str(take)}, terminal=silent())
         with open_store(path) as store:
             names = store.takes()["name"].to_list()
-            request = Request(LIMBS, "good", Wearing(SEED), "xsens-txt")
+            request = ImuRequest(LIMBS, "good", WearOptions(SEED), "xsens-txt")
             simulate_imu(store, names, None, request, sensors, silent().progress)
     return take, sensors
 

@@ -17,16 +17,16 @@ from benchmarks.archive import store as synthetic
 from benchmarks.harness import SMALL, Figure, calibrate, seconds, show, silent, sized
 from benchmarks.ranking_memory import made_up, searched_classes
 from kinedex.console.terminal import make_console
-from kinedex.ops.distances.costs import cost_table, encode, lay_out
+from kinedex.ops.distances.costs import column_layout, cost_table, encode
 from kinedex.ops.distances.dtw import distance_curves
 from kinedex.ops.distances.pruning import CoarseBound, coarse_bounds, fine_bound, pieces_below
 from kinedex.ops.distances.recurrence import COARSE_CAP
 from kinedex.ops.distances.sweep import BLOCK, CAP
-from kinedex.ops.ranking.ranking import rank, rank_together
+from kinedex.ops.ranking.best_hits import rank, rank_together
 from kinedex.ops.templates.templates import QuantisedTemplate, learn_soft, quantise
 from kinedex.ops.words import TakeWords, bits
 from kinedex.pipelines.engine.runner import run_pipeline
-from kinedex.pipelines.ranking.ranking import rank_takes
+from kinedex.pipelines.templates.ranking import rank_takes
 from kinedex.storage.store.store import Store, open_store
 from tests.real_data import SHARED
 
@@ -85,7 +85,7 @@ def _curves() -> list[Figure]:
     """Time curves in float64, which annotation uses, and in float32, codes and costs included."""
     template, words = _made_up()
     coded = encode(words)
-    wide = cost_table(lay_out([template]), coded.vocabulary)[:, :COLUMNS].copy()
+    wide = cost_table(column_layout([template]), coded.vocabulary)[:, :COLUMNS].copy()
     loop = seconds(lambda: plain(wide, coded.codes), 3)
     billions = COLUMNS * FRAMES / 1e9
     found = []
@@ -103,7 +103,7 @@ def _curves() -> list[Figure]:
 
 def _packages(template: QuantisedTemplate, words: npt.NDArray[np.uint64]) -> dict[str, Callable[[], object]]:
     """Time other packages: librosa with our costs and steps, the others with their own steps on the 40 bits."""
-    rows = cost_table(lay_out([template]), words)[:, :COLUMNS].T.copy()
+    rows = cost_table(column_layout([template]), words)[:, :COLUMNS].T.copy()
     columns, frames = template.values(40), bits(words, 40).astype(np.float64)
     found: dict[str, Callable[[], object]] = {}
     try:

@@ -21,8 +21,8 @@ from benchmarks.indexing import own_peak_mb, store_of_words
 from kinedex.console.terminal import make_console
 from kinedex.ops.templates.templates import learn_soft, quantise
 from kinedex.ops.words import TakeWords
-from kinedex.pipelines.ranking.ranked_hits import RankedTemplate
-from kinedex.pipelines.ranking.ranking import rank_takes
+from kinedex.pipelines.templates.ranked_hits import RankedTemplate
+from kinedex.pipelines.templates.ranking import rank_takes
 from kinedex.storage.store.store import Store, open_store
 
 RATE_HZ = 30

@@ -26,7 +26,7 @@ from benchmarks.harness import calibrate, silent
 from kinedex.console.terminal import make_console
 from kinedex.pipelines.engine.executors import ProcessExecutor
 from kinedex.pipelines.engine.runner import run_pipeline
-from kinedex.pipelines.synth.archive import write_archive
+from kinedex.pipelines.simulation.synthetic_archive import write_archive
 
 
 @dataclass(frozen=True)

@@ -37,7 +37,7 @@ from kinedex.ops.search.inverted_lists import InvertedLists, inverted_lists
 from kinedex.ops.search.keyframe_search import keyframe_list, search_lists
 from kinedex.ops.search.runs import word_runs
 from kinedex.ops.words import TakeWords
-from kinedex.pipelines.search.bit_slices import sliced_words
+from kinedex.pipelines.keyframes.slice_search import sliced_words
 from kinedex.storage.index.builder import build_index
 from kinedex.storage.store.store import Store
 from tests import real_data

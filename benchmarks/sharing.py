@@ -16,7 +16,7 @@ from benchmarks.harness import Figure
 from benchmarks.indexing import HOURS, twenty_hours
 from kinedex.catalog.queries.query_reader import read_queries
 from kinedex.ops.words import TakeWords
-from kinedex.pipelines.search.bit_slices import sliced_store, sliced_words
+from kinedex.pipelines.keyframes.slice_search import sliced_store, sliced_words
 from kinedex.storage.index.builder import build_index
 from kinedex.storage.store.store import Store, open_store
 

@@ -26,7 +26,7 @@ from kinedex.ops.tracking.first_track import find_start, first_track
 from kinedex.ops.tracking.observations import BodyPoints, Rays
 from kinedex.ops.tracking.rays import make_evidence
 from kinedex.ops.tracking.take_tracker import connected_triples, smoothness_weights, track_take
-from kinedex.pipelines.simulation.camera_recordings import limbs_of
+from kinedex.pipelines.simulation.simulated_cameras import limbs_of
 from kinedex.storage.snapshot.parts import joint_positions
 from kinedex.storage.store.store import Store
 
@@ -75,7 +75,7 @@ def _part(rays: Rays, frames: int) -> Rays:
 
 
 def _poses(poses: Poses, frames: int) -> Poses:
-    return Poses(poses.places[:frames], poses.turns[:frames])
+    return Poses(poses.positions[:frames], poses.rotations[:frames])
 
 
 def recording(store: Store, frames: int) -> tuple[ChainBody, BodyPoints, Rays]:
@@ -101,13 +101,13 @@ def gauss_newton_pass(
     body: ChainBody, points: BodyPoints, rays: Rays, rate_hz: float, start: Poses
 ) -> tuple[Band, Callable[[], object]]:
     """Return the system of a take at its start, and the work of one pass."""
-    frames, evidence = len(start.places), make_evidence(body, rays, points)
+    frames, evidence = len(start.positions), make_evidence(body, rays, points)
     problem = TrackProblem(body.arrays, evidence, prior_arrays(body, None, frames))
     units = np.zeros(rays.confidence.shape)
     band = make_band(
         body.arrays, np.unique(evidence.nodes), smoothness_weights(body, rate_hz), connected_triples(frames, ())
     )
-    steps, trial = np.empty_like(band.gradient), Poses(np.empty_like(start.places), np.empty_like(start.turns))
+    steps, trial = np.empty_like(band.gradient), Poses(np.empty_like(start.positions), np.empty_like(start.rotations))
     factors = np.empty((frames, len(band.coupled), 2 * len(band.coupled) + 1))
 
     def work() -> float:

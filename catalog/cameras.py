@@ -100,8 +100,8 @@ class Camera:
 
     def contains(self, pixels: npt.ArrayLike) -> Bool:
         """Return for pixels (…, 2) whether they lie inside the image, which reaches from −0.5 to size − 0.5."""
-        places = np.asarray(pixels, np.float64)
-        return np.asarray(((places >= -0.5) & (places <= np.array(self.size) - 0.5)).all(axis=-1))
+        positions = np.asarray(pixels, np.float64)
+        return np.asarray(((positions >= -0.5) & (positions <= np.array(self.size) - 0.5)).all(axis=-1))
 
     def in_world(self, turn: npt.ArrayLike, scale: float = 1.0) -> Camera:
         """Return the same camera in a world whose points are X' = scale · turn · X.

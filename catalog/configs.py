@@ -13,7 +13,7 @@ from typing import Annotated, Any, Literal, TypeVar, get_args
 import yaml
 from pydantic import AfterValidator, BaseModel, Field, ValidationError
 
-from kinedex.catalog.yaml_nodes import MOST_BYTES, MOST_DIGITS, composed, too_large
+from kinedex.catalog.yaml_nodes import MAX_BYTES, MAX_DIGITS, composed, too_large
 from kinedex.ops.errors import ConfigError, KinedexError, did_you_mean
 from kinedex.ops.local_paths import refuse_addresses
 
@@ -225,16 +225,16 @@ def read_text(path: Path, encoding: Literal["utf-8", "utf-8-sig"] = "utf-8") -> 
     Raises
     ------
     ConfigError
-        If the file cannot be read, is not UTF-8, or has more than `MOST_BYTES`.
+        If the file cannot be read, is not UTF-8, or has more than `MAX_BYTES`.
     """
     try:
         with path.open(encoding=encoding) as file:
-            text = file.read(MOST_BYTES + 1)
+            text = file.read(MAX_BYTES + 1)
     except OSError as fault:
         raise ConfigError(path, f"cannot be read: {fault.strerror}") from fault
     except UnicodeDecodeError as fault:
         raise ConfigError(path, f"is not UTF-8 text (byte {fault.start})") from fault
-    if len(text) > MOST_BYTES:
+    if len(text) > MAX_BYTES:
         raise too_large(path, "is larger than may be")
     return text
 
@@ -289,6 +289,6 @@ def _construct(node: yaml.Node, key: Key, located: Located, constructor: yaml.Sa
 
 def scalar(text: str) -> str:
     """Return a text as YAML: plain where it reads back as itself, else in quotes."""
-    short = len(text) <= MOST_DIGITS and text.isascii() and text.replace("_", "").isalnum()
+    short = len(text) <= MAX_DIGITS and text.isascii() and text.replace("_", "").isalnum()
     plain = short and yaml.safe_load(text) == text
     return text if plain else yaml.safe_dump(text, default_style='"', width=math.inf, allow_unicode=True).strip()

@@ -17,13 +17,13 @@ import numpy.typing as npt
 from kinedex.catalog.cameras import Camera
 from kinedex.ops.arrays import F32, F64, Array
 from kinedex.ops.cameras import projection
-from kinedex.ops.depth.floor import Floor, find_floor, upright_turn
+from kinedex.ops.depth.floor import Floor, find_floor, upright_rotation
 from kinedex.ops.errors import ParameterError
 
 NOT_MEASURED = (0, 65535)
 """Values of integer images that mark pixels without a measurement."""
 
-MOST_PIXELS = 1 << 22
+MAX_PIXELS = 1 << 22
 """Maximum number of pixels of an image; larger ones are rejected, as no depth camera makes them."""
 
 FARTHEST_M = 1e6
@@ -101,8 +101,8 @@ class DepthCamera:
                 raise ParameterError("up", "absent beside a pose, which implies it", np.asarray(self.up).tolist())
             object.__setattr__(self, "up", _unit_vector("up", self.up))
         camera = self.camera
-        if self.size[0] * self.size[1] > MOST_PIXELS:
-            raise ParameterError("size", f"of at most {MOST_PIXELS:,} pixels", self.size)
+        if self.size[0] * self.size[1] > MAX_PIXELS:
+            raise ParameterError("size", f"of at most {MAX_PIXELS:,} pixels", self.size)
         for key in ("matrix", "distortion"):
             object.__setattr__(self, key, getattr(camera, key))
         if self.rotation is not None:
@@ -257,7 +257,7 @@ def placement_of(camera: DepthCamera, background: F32 | None, seed: int = 0) -> 
     """
     upwards = camera.upwards
     if camera.rotation is not None and camera.place is not None and upwards is not None:
-        turn = upright_turn(FLIP * upwards)
+        turn = upright_rotation(FLIP * upwards)
         height = -float(camera.place[1])
         notes = _contradiction(_floor_of(camera, background, seed), height)
         return Placement(turn, height, (camera.rotation.T * FLIP) @ turn.T, camera.place, notes)
@@ -268,10 +268,10 @@ def placement_of(camera: DepthCamera, background: F32 | None, seed: int = 0) -> 
             f"{np.degrees(np.arccos(np.clip(floor.normal[1], -1, 1))):.1f}° ({floor.share:.0%} of the background)"
         )
         return Placement(
-            upright_turn(floor.normal), floor.height, np.eye(3), np.array([0.0, -floor.height, 0.0]), (note,)
+            upright_rotation(floor.normal), floor.height, np.eye(3), np.array([0.0, -floor.height, 0.0]), (note,)
         )
     if upwards is not None:
-        return Placement(upright_turn(FLIP * upwards), None, np.eye(3), np.zeros(3), ("no floor was found",))
+        return Placement(upright_rotation(FLIP * upwards), None, np.eye(3), np.zeros(3), ("no floor was found",))
     return Placement(np.eye(3), None, np.eye(3), np.zeros(3), (NO_UP,))
 
 

@@ -7,9 +7,9 @@ from typing import Annotated
 
 from pydantic import BaseModel, ConfigDict, Field
 
+from kinedex.catalog.camera_recordings import EntriesFile, parse_entries
 from kinedex.catalog.configs import LocalPath, Located, load_yaml
 from kinedex.catalog.depth_cameras import FASTEST_HZ
-from kinedex.catalog.recordings import EntriesFile, parse_entries
 
 AUTO, NONE = "auto", "none"
 """Values of `background` that are no file: measured in the recording itself, and absent."""

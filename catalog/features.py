@@ -14,7 +14,7 @@ from kinedex.catalog.feature_definitions import PRIMITIVES, Feature, WordSet
 from kinedex.ops.arrays import I64, U64
 from kinedex.ops.body.feature_rules import JOINTS_OF, Primitive, Rule
 from kinedex.ops.errors import KinedexError, did_you_mean
-from kinedex.ops.words import MOST_FEATURES, rearrange
+from kinedex.ops.words import MAX_FEATURES, rearrange
 
 
 class AffectedFeatures(NamedTuple):
@@ -292,8 +292,8 @@ def load_feature_set(name_or_path: str | Path = "body40") -> FeatureSet:
     located.mapping()
     parsed = located.model(FeatureFile)
     numbers = sorted(parsed.features)
-    if numbers != list(range(1, len(numbers) + 1)) or len(numbers) > MOST_FEATURES:
-        raise located.error(f"features must be numbered 1, 2, 3, … without gaps, at most {MOST_FEATURES}", "features")
+    if numbers != list(range(1, len(numbers) + 1)) or len(numbers) > MAX_FEATURES:
+        raise located.error(f"features must be numbered 1, 2, 3, … without gaps, at most {MAX_FEATURES}", "features")
     for name in parsed.stand_ins:
         if name not in parsed.lengths:
             raise located.error(f"no length '{name}'{did_you_mean(name, parsed.lengths)}", "stand_ins", name)

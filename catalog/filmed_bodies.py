@@ -18,7 +18,7 @@ from kinedex.ops.body.joint_tree import JOINTS
 from kinedex.ops.depth.cones import ConeBody
 from kinedex.ops.errors import ConfigError, did_you_mean
 from kinedex.ops.simulation.depth_rays import REFERENCE_HEIGHT_M, Clothes, Flesh
-from kinedex.ops.simulation.depth_sensors import Disturbance
+from kinedex.ops.simulation.depth_sensors import ExtraErrors
 
 KIND = "bodies/filmed"
 
@@ -95,7 +95,7 @@ class FilmedBody:
     name: str
     body: ConeBody
     flesh: Flesh
-    disturbance: Disturbance
+    disturbance: ExtraErrors
 
 
 def load_filmed_body(name: str | Path = "first") -> FilmedBody:
@@ -143,7 +143,7 @@ def parse_filmed_body(located: Located) -> FilmedBody:
     length = np.full(len(numbers), file.clothes.fold_length_m)
     clothes = Clothes(file.clothes.waves_m, _folds(located, file, kinds)[numbers], length)
     flesh = Flesh(weights, forward, beyond, beyond_m, radii, numbers, _factors(located, file, kinds), clothes)
-    return FilmedBody(file.name, body, flesh, Disturbance(**file.errors.model_dump()))
+    return FilmedBody(file.name, body, flesh, ExtraErrors(**file.errors.model_dump()))
 
 
 def _kind(name: str) -> str:

@@ -30,7 +30,7 @@ _LIMBS = tuple(
     for side in ("left", "right")
 )
 
-MOST_KEYPOINTS = 1000
+MAX_KEYPOINTS = 1000
 """Maximum number of keypoints of a set."""
 
 
@@ -69,7 +69,7 @@ class KeypointSet:
         The name of the set.
     order : tuple of str
         Names of its keypoints as files without names have them; empty for the set `named`.
-    places : mapping of str to KeypointPlace
+    positions : mapping of str to KeypointPlace
         Keypoint → its place on the body; others have none.
     by_count : bool
         True if the number of keypoints in a file suffices to recognise this set.
@@ -77,7 +77,7 @@ class KeypointSet:
 
     name: str
     order: tuple[str, ...]
-    places: Mapping[str, KeypointPlace]
+    positions: Mapping[str, KeypointPlace]
     by_count: bool
 
     def body_points(self, names: Sequence[str], body: ChainBody) -> BodyPoints:
@@ -104,10 +104,10 @@ class KeypointSet:
         nodes, joints = np.zeros(len(names), np.int64), np.full(len(names), -1, np.int64)
         offsets = np.zeros((len(names), 3))
         for p, name in enumerate(names):
-            if name not in self.places:
-                near = did_you_mean(name, self.places)
+            if name not in self.positions:
+                near = did_you_mean(name, self.positions)
                 raise KinedexError(f"keypoint '{name}' has no place in the keypoint set '{self.name}'{near}")
-            place = self.places[name]
+            place = self.positions[name]
             if place.joint:
                 joints[p] = chain.joint(place.joint)
                 nodes[p], offsets[p] = chain.rest[joints[p]].node, body.offsets[joints[p]]
@@ -135,7 +135,7 @@ class _SetFile(BaseModel):
     name: str = Field(min_length=1)
     description: str = ""
     by_count: bool = True
-    order: list[str] = Field([], max_length=MOST_KEYPOINTS)
+    order: list[str] = Field([], max_length=MAX_KEYPOINTS)
     points: dict[str, str | dict[str, Any]] = {}
 
 
@@ -179,16 +179,16 @@ def parse_keypoint_set(located: Located, chain: KinematicChain) -> KeypointSet:
     twice = next((i for i, name in enumerate(file.order) if name in file.order[:i]), None)
     if twice is not None:
         raise located.error(f"keypoint '{file.order[twice]}' stands twice", "order", twice)
-    places = {joint: KeypointPlace(joint=joint) for joint in chain.joints}
+    positions = {joint: KeypointPlace(joint=joint) for joint in chain.joints}
     if file.name != NAMED:
-        places |= load_keypoint_set(NAMED).places
-    places |= {name: _place(located, chain, name, point) for name, point in file.points.items()}
+        positions |= load_keypoint_set(NAMED).positions
+    positions |= {name: _place(located, chain, name, point) for name, point in file.points.items()}
     if file.order:
         unknown = next((name for name in file.points if name not in file.order), None)
         if unknown is not None:
             raise located.error(f"must be one of `order`{did_you_mean(unknown, file.order)}", "points", unknown)
-        places = {name: places[name] for name in file.order if name in places}
-    return KeypointSet(file.name, tuple(file.order), places, file.by_count and bool(file.order))
+        positions = {name: positions[name] for name in file.order if name in positions}
+    return KeypointSet(file.name, tuple(file.order), positions, file.by_count and bool(file.order))
 
 
 def _place(located: Located, chain: KinematicChain, name: str, point: str | dict[str, Any]) -> KeypointPlace:

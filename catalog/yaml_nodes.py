@@ -15,20 +15,20 @@ from yaml.resolver import Resolver
 
 from kinedex.ops.errors import ConfigError
 
-MOST_BYTES = 8_000_000
+MAX_BYTES = 8_000_000
 """Maximum number of bytes of a YAML text."""
 
-MOST_NODES = 300_000
+MAX_NODES = 300_000
 """Maximum number of keys, values, lists and mappings of a file; the templates of 65 classes have 260,000."""
 
-MOST_DEPTH = 64
+MAX_DEPTH = 64
 """Maximum number of levels of lists and mappings; the deepest file that ships with kinedex has 9."""
 
-MOST_DIGITS = 400
+MAX_DIGITS = 400
 """Maximum number of characters of an integer; Python prints none of more than 4,300 decimal digits."""
 
-MOST_VALUES = 100_000
-"""Maximum number of values that a file may hold by way of aliases; one without aliases may have `MOST_NODES`."""
+MAX_VALUES = 100_000
+"""Maximum number of values that a file may hold by way of aliases; one without aliases may have `MAX_NODES`."""
 
 EXPLAINED_CHARACTERS = 200_000
 """The longest text that is parsed once more for a better message; the parser in Python takes a second for this."""
@@ -48,20 +48,20 @@ class _Bounded(Composer):
         self._nodes += 1
         self._depth += 1
         line = self.peek_event().start_mark.line + 1
-        if self._nodes > MOST_NODES:
+        if self._nodes > MAX_NODES:
             raise ConfigError(
-                self.path, f"has more than {MOST_NODES:,} keys and values; divide the file, or use CSV", line=line
+                self.path, f"has more than {MAX_NODES:,} keys and values; divide the file, or use CSV", line=line
             )
-        if self._depth > MOST_DEPTH:
+        if self._depth > MAX_DEPTH:
             raise ConfigError(
-                self.path, f"is nested too deeply: a value lies {MOST_DEPTH} levels deep at most", line=line
+                self.path, f"is nested too deeply: a value lies {MAX_DEPTH} levels deep at most", line=line
             )
         node = super().compose_node(parent, index)
         self._depth -= 1
-        if isinstance(node, yaml.ScalarNode) and node.tag == _INTEGER and len(node.value) > MOST_DIGITS:
+        if isinstance(node, yaml.ScalarNode) and node.tag == _INTEGER and len(node.value) > MAX_DIGITS:
             raise ConfigError(
                 self.path,
-                f"has an integer of {len(node.value):,} characters, {node.value[:12]}…; {MOST_DIGITS} are the most; "
+                f"has an integer of {len(node.value):,} characters, {node.value[:12]}…; {MAX_DIGITS} are the most; "
                 "a text stands in quotes",
                 line=line,
             )
@@ -106,7 +106,7 @@ def composed(text: str, path: Path) -> yaml.Node | None:
     yaml.YAMLError, ValueError
         It is no YAML.
     """
-    if len(text) > MOST_BYTES:
+    if len(text) > MAX_BYTES:
         raise too_large(path, f"has {len(text) / 1e6:.1f} MB")
     root = None
     for number, kind in enumerate(_LOADERS):
@@ -124,7 +124,7 @@ def composed(text: str, path: Path) -> yaml.Node | None:
 
 def too_large(path: Path, found: str) -> ConfigError:
     """Return the error for a file of too many bytes."""
-    return ConfigError(path, f"{found}, and {MOST_BYTES / 1e6:g} MB are the most; divide the file, or use CSV")
+    return ConfigError(path, f"{found}, and {MAX_BYTES / 1e6:g} MB are the most; divide the file, or use CSV")
 
 
 def _document(kind: Any, text: str, path: Path) -> yaml.Node | None:
@@ -151,10 +151,10 @@ def _refuse_bombs(root: yaml.Node, path: Path) -> None:
             sizes[id(node)] = 0
             waiting.append((node, True))
             waiting.extend((part, False) for part in parts)
-    if sizes[id(root)] > max(MOST_VALUES, len(sizes)):
+    if sizes[id(root)] > max(MAX_VALUES, len(sizes)):
         raise ConfigError(
             path,
-            f"its aliases expand {len(sizes):,} values to {sizes[id(root)]:,}, and at most {MOST_VALUES:,} are read; "
+            f"its aliases expand {len(sizes):,} values to {sizes[id(root)]:,}, and at most {MAX_VALUES:,} are read; "
             "write the values out, or use fewer aliases of aliases",
         )
 

@@ -14,9 +14,9 @@ from starlette.requests import Request
 from starlette.responses import HTMLResponse, RedirectResponse, Response
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
-from kinedex.explorer.answers import error_answer
+from kinedex.explorer.answers import error_json
 
-MOST_BYTES = 4 * 2**20
+MAX_BYTES = 4 * 2**20
 """The largest body of a request that is accepted, in bytes."""
 
 EVERYWHERE = ("0.0.0.0", "::")
@@ -121,7 +121,7 @@ def _host_name(header: str) -> str:
         return ""
 
 
-def is_from_elsewhere(request: Request) -> bool:
+def is_cross_site(request: Request) -> bool:
     """Return whether another site made a request.
 
     A browser reports the site in Sec-Fetch-Site, and in Origin with everything that is not plain navigation. Plain
@@ -185,21 +185,21 @@ class Access:
         rules = self.rules
         if not rules.is_known_host(request.headers.get("host", "")):
             names = ", ".join(sorted(rules.hosts))
-            return error_answer(
+            return error_json(
                 403, "AccessError", f"this server is not known by the name in the address; its names: {names}"
             )
-        if is_from_elsewhere(request):
-            return error_answer(403, "AccessError", "requests of other sites are refused")
+        if is_cross_site(request):
+            return error_json(403, "AccessError", "requests of other sites are refused")
         length = request.headers.get("content-length", "0")
-        if not length.isdecimal() or int(length) > MOST_BYTES:
-            return too_long()
+        if not length.isdecimal() or int(length) > MAX_BYTES:
+            return too_long_response()
         given = dict(parse_qsl(request.url.query)).get("token")
         if given is not None and request.method == "GET" and rules.is_token(given):
             return self._admission(request)
         if rules.is_known(request):
             return None
         if request.url.path.startswith("/api/"):
-            return error_answer(401, "AccessError", f"the token is missing or wrong; {WAY_IN}")
+            return error_json(401, "AccessError", f"the token is missing or wrong; {WAY_IN}")
         return HTMLResponse(_PAGE.format(text=html.escape(WAY_IN)), 401)
 
     def _admission(self, request: Request) -> Response:
@@ -221,9 +221,9 @@ class TooLongError(Exception):
     """The body of a request is longer than the server takes."""
 
 
-def too_long() -> Response:
+def too_long_response() -> Response:
     """Return the answer to a request whose body is too long."""
-    return error_answer(413, "ParameterError", f"the request is longer than {MOST_BYTES // 2**20} MiB; ask for less")
+    return error_json(413, "ParameterError", f"the request is longer than {MAX_BYTES // 2**20} MiB; ask for less")
 
 
 class _Bounded:
@@ -236,7 +236,7 @@ class _Bounded:
     async def __call__(self) -> Message:
         message = await self._receive()
         self._bytes += len(message.get("body", b""))
-        if self._bytes > MOST_BYTES:
+        if self._bytes > MAX_BYTES:
             raise TooLongError
         return message
 

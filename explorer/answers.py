@@ -14,10 +14,10 @@ from starlette.exceptions import HTTPException
 from starlette.requests import ClientDisconnect, Request
 from starlette.responses import Response
 
-from kinedex.explorer.archive import Archive, ReadOnlyError
+from kinedex.explorer.open_archive import Archive, ReadOnlyError
+from kinedex.ops.cancellation import CancelledWorkError
 from kinedex.ops.errors import ConflictError, KinedexError, ParameterError, Remedy
-from kinedex.ops.withdrawal import WithdrawnError
-from kinedex.storage.disk import WriteError
+from kinedex.storage.durable_files import WriteError
 from kinedex.storage.formats.json_text import json_value
 from kinedex.storage.interruption import TimeLimitError
 
@@ -53,7 +53,7 @@ def _exact(value: Any) -> Any:
     return str(value) if isinstance(value, int) and not -EXACT <= value <= EXACT else value
 
 
-def error_answer(status: int, kind: str, message: str, remedy: Remedy | None = None) -> Json:
+def error_json(status: int, kind: str, message: str, remedy: Remedy | None = None) -> Json:
     """Return the JSON response for an error, in the format that all pages read.
 
     Parameters
@@ -83,24 +83,24 @@ _STATUS: dict[type[KinedexError], int] = {
 """A dict from class of an error to its status; a class without entry has the status of its parent."""
 
 
-async def fault_answer(_request: Request, fault: Exception) -> Response:
+async def error_response(_request: Request, fault: Exception) -> Response:
     """Return the response for a request that failed; a traceback goes to the log only."""
-    if isinstance(fault, ClientDisconnect | WithdrawnError):
+    if isinstance(fault, ClientDisconnect | CancelledWorkError):
         return Response(status_code=499)  # the client has disconnected
     if isinstance(fault, KinedexError):
         status = next(_STATUS[kind] for kind in type(fault).__mro__ if kind in _STATUS)
-        return error_answer(status, type(fault).__name__, str(fault), fault.remedy)
+        return error_json(status, type(fault).__name__, str(fault), fault.remedy)
     if isinstance(fault, ValidationError):
-        return error_answer(422, "ParameterError", _wrong_fields(fault))
+        return error_json(422, "ParameterError", _wrong_fields(fault))
     if isinstance(fault, HTTPException):
-        return error_answer(fault.status_code, "HTTPError", fault.detail)
+        return error_json(fault.status_code, "HTTPError", fault.detail)
     if isinstance(fault, MemoryError):
-        return error_answer(500, "MemoryError", "the server has no memory left; ask for less, or close other programs")
+        return error_json(500, "MemoryError", "the server has no memory left; ask for less, or close other programs")
     if isinstance(fault, OSError):
         place = f"{fault.filename}: " if fault.filename else ""
-        return error_answer(500, type(fault).__name__, f"{place}{fault.strerror or fault}")
+        return error_json(500, type(fault).__name__, f"{place}{fault.strerror or fault}")
     _LOG.error("a request failed", exc_info=fault)
-    return error_answer(
+    return error_json(
         500, type(fault).__name__, "the server met an error of its own; the log of `kinedex explore` shows it"
     )
 
@@ -138,7 +138,7 @@ def python_lines(store: Path, *lines: str) -> str:
     return "\n".join(["import kinedex", f"store = kinedex.open_store({str(store)!r})", *lines])
 
 
-def same_query(archive: Archive, text: str) -> dict[str, str]:
+def equivalent_query(archive: Archive, text: str) -> dict[str, str]:
     """Return the command and the Python lines that run a SQL query on the store."""
     return {
         "command": command_line("kinedex", "sql", archive.path, text),

@@ -19,10 +19,10 @@ from starlette.responses import FileResponse, HTMLResponse, Response
 from starlette.routing import BaseRoute, Match, Route, Router
 from starlette.types import ASGIApp, Receive, Scope, Send
 
-from kinedex.explorer.access import Access, Rules, TooLongError, too_long
-from kinedex.explorer.answers import fault_answer
-from kinedex.explorer.archive import Archive
-from kinedex.explorer.preparation import prepare
+from kinedex.explorer.access import Access, Rules, TooLongError, too_long_response
+from kinedex.explorer.answers import error_response
+from kinedex.explorer.open_archive import Archive
+from kinedex.explorer.warm_up import prepare
 from kinedex.ops.errors import KinedexError, Remedy
 
 BUILT = Path(__file__).parent / "built"
@@ -30,17 +30,17 @@ BUILT = Path(__file__).parent / "built"
 
 SUBJECTS = (
     "curves",
-    "doubtful",
+    "review_queue",
     "events",
     "examples",
     "exports",
-    "held_out",
+    "edit_effect",
     "hits",
     "keyframes",
     "jobs",
     "label_files",
     "labels",
-    "lanes",
+    "take_lanes",
     "learning",
     "maps",
     "motion",
@@ -82,7 +82,7 @@ def make_application(archive: Archive, rules: Rules, built: Path = BUILT) -> ASG
         Route("/{rest:path}", _page, methods=["GET"]),
     ]
     known = (HTTPException, KinedexError, ValidationError, OSError, MemoryError, Exception)
-    faults = {**dict.fromkeys(known, fault_answer), TooLongError: _too_long}
+    faults = {**dict.fromkeys(known, error_response), TooLongError: _too_long}
     app = Starlette(routes=routes, exception_handlers=faults)
     app.state.archive = archive
     app.state.built = built
@@ -153,7 +153,7 @@ def require_page(built: Path = BUILT) -> None:
 
 
 async def _too_long(_request: Request, _fault: Exception) -> Response:
-    return too_long()
+    return too_long_response()
 
 
 async def _asset(request: Request) -> Response:

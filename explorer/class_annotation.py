@@ -23,10 +23,7 @@ from kinedex.ops.cache import Cache
 from kinedex.ops.errors import KinedexError
 from kinedex.ops.templates.templates import QuantisedTemplate
 from kinedex.ops.words import TakeWords
-from kinedex.pipelines.annotation.annotators import Annotator
-from kinedex.pipelines.annotation.batches import annotate_words, split_takes
-from kinedex.pipelines.annotation.methods import ClassTemplates, ThesisMethod
-from kinedex.pipelines.annotation.preparation import (
+from kinedex.pipelines.annotation.annotation_setup import (
     Preparation,
     Single,
     learned_queries,
@@ -34,11 +31,14 @@ from kinedex.pipelines.annotation.preparation import (
     single_examples_of,
     template_words,
 )
+from kinedex.pipelines.annotation.annotators import Annotator
+from kinedex.pipelines.annotation.batches import annotate_words, split_takes
+from kinedex.pipelines.annotation.methods import ClassTemplates, ThesisMethod
 from kinedex.pipelines.annotation.threshold_calibration import Calibration
 from kinedex.pipelines.engine.executors import cores, in_threads
-from kinedex.pipelines.search.bit_slices import stored_words
+from kinedex.pipelines.keyframes.slice_search import stored_words
 from kinedex.pipelines.templates.examples import Rejected, rejected_examples
-from kinedex.pipelines.templates.learning import SubclassTemplate, TrainingClips
+from kinedex.pipelines.templates.template_learning import SubclassTemplate, TrainingClips
 from kinedex.pipelines.templates.training import TemplateParameters, training_material
 from kinedex.storage.store.store import Store
 
@@ -49,14 +49,14 @@ Key = tuple[object, ...]
 
 Step = Callable[[], None]
 
-MOST_BYTES = 200_000_000
+MAX_BYTES = 200_000_000
 """Maximum number of bytes of cached matches, of which the least recently used are dropped; 28 templates in 100 h take
 110 MB.
 """
 
 
 @dataclass(frozen=True)
-class Held:
+class CachedMatches:
     """The matches of a template below a threshold; they contain the matches below every lower threshold."""
 
     tau: float
@@ -78,12 +78,12 @@ class Held:
         return starts.astype(np.int64), ends.astype(np.int64), costs
 
 
-MATCHES: Cache[Key, Held] = Cache(MOST_BYTES, lambda held: held.nbytes)
+MATCHES: Cache[Key, CachedMatches] = Cache(MAX_BYTES, lambda held: held.nbytes)
 """The matches of the templates that are being edited, and of those that compete with them."""
 
 
 @dataclass(frozen=True)
-class RememberingThesisMethod(ThesisMethod):
+class CachingThesisMethod(ThesisMethod):
     """Label frames as `ThesisMethod` does, with matches that are cached from one annotation to the next.
 
     Attributes
@@ -95,7 +95,7 @@ class RememberingThesisMethod(ThesisMethod):
     scope: tuple[object, ...] = ()
 
     @classmethod
-    def prepare(cls, templates: ClassTemplates, clips: Callable[[], Sequence[U64]]) -> RememberingThesisMethod:
+    def prepare(cls, templates: ClassTemplates, clips: Callable[[], Sequence[U64]]) -> CachingThesisMethod:
         """Return the method for some templates, with the cache of the server."""
         return cls(templates.quantised, templates.class_index, templates.thresholds)
 
@@ -103,7 +103,7 @@ class RememberingThesisMethod(ThesisMethod):
         """Return the minima of the distance curve of each template in whole takes; see `ThesisMethod.matches`."""
         taus = self.thresholds[self.class_index]
         takes = words.take_ids.tobytes()
-        keys = [(*self.scope, takes, *content_of(one)) for one in self.templates]
+        keys = [(*self.scope, takes, *template_key(one)) for one in self.templates]
         found = {
             place: held.below(tau)
             for place, (key, tau) in enumerate(zip(keys, taus.tolist(), strict=True))
@@ -118,12 +118,12 @@ class RememberingThesisMethod(ThesisMethod):
             for place, own in zip(missing, parts, strict=True):
                 found[place] = own
                 starts, ends, costs = own
-                held = Held(float(taus[place]), starts.astype(np.int32), ends.astype(np.int32), costs)
+                held = CachedMatches(float(taus[place]), starts.astype(np.int32), ends.astype(np.int32), costs)
                 MATCHES.put(keys[place], held)
         return Matches.of([found[place] for place in range(len(keys))])
 
 
-def content_of(template: QuantisedTemplate) -> tuple[bytes, bytes, bytes]:
+def template_key(template: QuantisedTemplate) -> tuple[bytes, bytes, bytes]:
     """Return what the matches of a template in whole takes depend on, besides threshold and words, for cache keys."""
     weights = b"" if template.feature_weights is None else template.feature_weights.tobytes()
     return template.mask.tobytes(), template.value.tobytes(), weights
@@ -244,7 +244,7 @@ def class_segments(
     method = annotator.method
     if type(method) is ThesisMethod and not any(annotator.queries):
         scope = (str(store.path), store.manifest.version)
-        kept = RememberingThesisMethod(method.templates, method.class_index, method.thresholds, scope)
+        kept = CachingThesisMethod(method.templates, method.class_index, method.thresholds, scope)
         annotator = replace(annotator, method=kept)
     place = annotator.classes.index(label)
     found: list[tuple[Segment, ...]] = []

@@ -16,11 +16,11 @@ import numpy as np
 import numpy.typing as npt
 from starlette.requests import Request
 
-from kinedex.explorer.addresses import get, get_of_take, take_of
 from kinedex.explorer.answers import command_line, python_lines
-from kinedex.explorer.archive import Archive
-from kinedex.explorer.lanes import words_of_take
+from kinedex.explorer.endpoints import get, get_of_take, take_of
 from kinedex.explorer.motion import check_frame, check_interval, frames_of, name_of, whole_number
+from kinedex.explorer.open_archive import Archive
+from kinedex.explorer.take_lanes import words_of_take
 from kinedex.ops.annotation.segments import local_minima
 from kinedex.ops.distances.curve_path import curve_paths
 from kinedex.ops.distances.dtw import distance_curves
@@ -32,9 +32,9 @@ from kinedex.ops.templates.templates import Kind, QuantisedTemplate, quantise
 from kinedex.ops.templates.warping import align
 from kinedex.ops.words import ALL_KNOWN, U64
 from kinedex.pipelines.annotation.parameters import DEFAULT_TAU
-from kinedex.pipelines.templates.learning import SubclassTemplate
 from kinedex.pipelines.templates.stored_clips import clips_of
 from kinedex.pipelines.templates.stored_templates import choose_template, stored_templates
+from kinedex.pipelines.templates.template_learning import SubclassTemplate
 from kinedex.storage.store.store import Store
 
 Row = dict[str, Any]
@@ -42,7 +42,7 @@ Row = dict[str, Any]
 DELTA = 0.05
 """The default δ: values of a template within δ of 0 or 1 count, the others are wildcards."""
 
-MOST_ALIGNED = 1800
+MAX_ALIGNED = 1800
 """Maximum number of frames of each of two aligned intervals: a minute, for which the matrix of costs takes 26 MB."""
 
 
@@ -283,7 +283,7 @@ def aligned_intervals(store: Store, one: Interval, other: Interval) -> Row:
     store : Store
         The store of the takes.
     one, other : Interval
-        The intervals, each of at most `MOST_ALIGNED` frames.
+        The intervals, each of at most `MAX_ALIGNED` frames.
 
     Returns
     -------
@@ -301,8 +301,8 @@ def aligned_intervals(store: Store, one: Interval, other: Interval) -> Row:
     parts = []
     for name, each in (("the first interval", one), ("the second interval", other)):
         check_interval(store, each, name)
-        if each.frames > MOST_ALIGNED:
-            raise ParameterError(name, f"of at most {MOST_ALIGNED} frames", each.frames)
+        if each.frames > MAX_ALIGNED:
+            raise ParameterError(name, f"of at most {MAX_ALIGNED} frames", each.frames)
         parts.append(words_of_take(store, store.take_ids[each.take])[each.start : each.stop])
     differing = word_differences(parts[0], parts[1], len(store.feature_set.features))
     path = align(differing, np.ones(len(parts[0])), np.ones(len(parts[1]))).path

@@ -25,26 +25,26 @@ from pydantic import Field
 from starlette.requests import Request
 
 from kinedex.catalog.template_files import write_yaml
-from kinedex.explorer.addresses import post
 from kinedex.explorer.answers import command_line, python_lines
-from kinedex.explorer.archive import Archive
+from kinedex.explorer.endpoints import post
 from kinedex.explorer.hits import ChosenHit, Limit, shown_hits, take_condition
-from kinedex.explorer.labels import same_decisions
+from kinedex.explorer.labels import label_commands
+from kinedex.explorer.open_archive import Archive
 from kinedex.explorer.selections import Selection
 from kinedex.ops.distances.curve_path import curve_paths
 from kinedex.ops.distances.dtw import distance_curves
 from kinedex.ops.errors import KinedexError
 from kinedex.ops.intervals import Hit, in_seconds
-from kinedex.ops.ranking.ranking import rank_together
+from kinedex.ops.ranking.best_hits import rank_together
 from kinedex.ops.templates.derived_templates import WILDCARD, restricted_template
 from kinedex.ops.templates.templates import QuantisedTemplate, quantise
 from kinedex.ops.words import ALL_KNOWN, TakeWords, bits
-from kinedex.pipelines.labels.decisions import record
-from kinedex.pipelines.ranking.examples import ChosenTemplate, template_of_chosen
-from kinedex.pipelines.ranking.ranked_hits import RankedTemplate
-from kinedex.pipelines.ranking.ranking import mirrored_template
-from kinedex.pipelines.ranking.store_ranking import DELTA, TAU, TOP, RankingQuestion, rank_store
-from kinedex.pipelines.search.bit_slices import stored_words
+from kinedex.pipelines.keyframes.slice_search import stored_words
+from kinedex.pipelines.labels.decisions import record_decisions
+from kinedex.pipelines.templates.chosen_intervals import ChosenTemplate, template_of_chosen
+from kinedex.pipelines.templates.ranked_hits import RankedTemplate
+from kinedex.pipelines.templates.ranking import mirrored_template
+from kinedex.pipelines.templates.store_ranking import DELTA, TAU, TOP, RankingQuestion, rank_store
 from kinedex.storage.snapshot.schemas import hits_of
 from kinedex.storage.store.store import Store
 
@@ -53,14 +53,14 @@ NAME = "example"
 SHOWN_SECONDS = 3.0
 """Seconds before and after a hit for which its distance curve is shown."""
 
-MOST_EXAMPLES = 500
-MOST_SECONDS = 60.0
+MAX_EXAMPLES = 500
+MAX_SECONDS = 60.0
 """Longest interval that is an example: the time of a search grows with its length."""
 
-Examples = Annotated[tuple[ChosenHit, ...], Field(max_length=MOST_EXAMPLES)]
+Examples = Annotated[tuple[ChosenHit, ...], Field(max_length=MAX_EXAMPLES)]
 
 
-class ExamplesQuestion(Selection):
+class ExamplesRequest(Selection):
     """A search by example: hits are similar to the intervals `positives`, and dissimilar to `negatives`."""
 
     positives: Annotated[Examples, Field(min_length=1)]
@@ -72,13 +72,13 @@ class ExamplesQuestion(Selection):
     name: Annotated[str, Field(min_length=1, max_length=100)] = NAME
 
 
-class HitQuestion(ExamplesQuestion):
+class HitRequest(ExamplesRequest):
     """A search by example, and one of its hits."""
 
     hit: ChosenHit
 
 
-class LabelsQuestion(Selection):
+class LabelsRequest(Selection):
     """Hits that a person has accepted and rejected for a class."""
 
     label: Annotated[str, Field(min_length=1, max_length=200, alias="class")]
@@ -88,7 +88,7 @@ class LabelsQuestion(Selection):
     note: str | None = None
 
 
-def find_similar(archive: Archive, asked: ExamplesQuestion, _request: Request) -> dict[str, Any]:
+def find_similar(archive: Archive, asked: ExamplesRequest, _request: Request) -> dict[str, Any]:
     """Return the intervals of the archive that are most similar to the examples."""
     begin = time.perf_counter()
     store = archive.store()
@@ -116,13 +116,13 @@ def find_similar(archive: Archive, asked: ExamplesQuestion, _request: Request) -
     }
 
 
-def _template(store: Store, asked: ExamplesQuestion) -> ChosenTemplate:
+def _template(store: Store, asked: ExamplesRequest) -> ChosenTemplate:
     """Return the template that is learned from the examples of a request."""
     accepted, rejected = ([one.hit(store) for one in side] for side in (asked.positives, asked.negatives))
     longest = in_seconds(max(one.interval.frames for one in accepted), store.rate_hz)
-    if longest > MOST_SECONDS:
+    if longest > MAX_SECONDS:
         raise KinedexError(
-            f"an example of {longest:.0f} s: at most {MOST_SECONDS:g} s; choose the interval that shows the motion once"
+            f"an example of {longest:.0f} s: at most {MAX_SECONDS:g} s; choose the interval that shows the motion once"
         )
     return template_of_chosen(store, asked.name, accepted, rejected, asked.delta)
 
@@ -132,7 +132,7 @@ def _features(store: Store) -> list[str]:
 
 
 def _same(
-    archive: Archive, store: Store, asked: ExamplesQuestion, made: ChosenTemplate, condition: str | None
+    archive: Archive, store: Store, asked: ExamplesRequest, made: ChosenTemplate, condition: str | None
 ) -> dict[str, str]:
     """Return the command and the Python lines of a search by example."""
     options = [*(["--mirror"] if asked.mirror else []), "--tau", f"{asked.tau:g}", "--top", str(asked.top)]
@@ -159,7 +159,7 @@ def _same(
     }
 
 
-def describe_hit(archive: Archive, asked: HitQuestion, _request: Request) -> dict[str, Any]:
+def describe_hit(archive: Archive, asked: HitRequest, _request: Request) -> dict[str, Any]:
     """Return the distance curve around a hit, its warping path, and the features that it contradicts."""
     store = archive.store()
     hit = asked.hit.hit(store)
@@ -194,7 +194,7 @@ def describe_hit(archive: Archive, asked: HitQuestion, _request: Request) -> dic
     }
 
 
-def _fitted(store: Store, asked: HitQuestion, hit: Hit) -> QuantisedTemplate:
+def _fitted(store: Store, asked: HitRequest, hit: Hit) -> QuantisedTemplate:
     """Return the template in the form that matched a hit: mirrored or not, with the features known in its take."""
     made = _template(store, asked)
     whole = RankedTemplate(asked.name, quantise(made.named.template, asked.delta))
@@ -206,7 +206,7 @@ def _fitted(store: Store, asked: HitQuestion, hit: Hit) -> QuantisedTemplate:
     return found
 
 
-def write_template(archive: Archive, asked: ExamplesQuestion, _request: Request) -> dict[str, Any]:
+def write_template(archive: Archive, asked: ExamplesRequest, _request: Request) -> dict[str, Any]:
     """Return the template of the examples as the text of a file."""
     store = archive.store()
     made = _template(store, asked)
@@ -214,7 +214,7 @@ def write_template(archive: Archive, asked: ExamplesQuestion, _request: Request)
     return {"name": asked.name, "text": write_yaml([named], store.feature_set), "remarks": list(made.remarks)}
 
 
-def save_labels(archive: Archive, asked: LabelsQuestion, _request: Request) -> dict[str, Any]:
+def save_labels(archive: Archive, asked: LabelsRequest, _request: Request) -> dict[str, Any]:
     """Record accepted hits as positive labels of a class and rejected ones as negative, on disk before it returns."""
     store = archive.store()
     rows = [
@@ -230,13 +230,13 @@ def save_labels(archive: Archive, asked: LabelsQuestion, _request: Request) -> d
         for chosen in side
     ]
     standing = {row["id"]: row for row in store.labels().to_pylist()}
-    done = record(store, rows)
+    done = record_decisions(store, rows)
     archive.labels_changed()
     return {
         "recorded": done.rows.num_rows,
         "known": done.known,
         "remarks": list(done.remarks),
-        **same_decisions(archive, done.rows.to_pylist(), standing),
+        **label_commands(archive, done.rows.to_pylist(), standing),
     }
 
 
@@ -250,8 +250,8 @@ def warm_up() -> None:
 
 
 routes = [
-    post("/api/ask/examples", find_similar, ExamplesQuestion),
-    post("/api/ask/hit", describe_hit, HitQuestion),
-    post("/api/ask/template", write_template, ExamplesQuestion),
-    post("/api/ask/labels", save_labels, LabelsQuestion, writes=True),
+    post("/api/ask/examples", find_similar, ExamplesRequest),
+    post("/api/ask/hit", describe_hit, HitRequest),
+    post("/api/ask/template", write_template, ExamplesRequest),
+    post("/api/ask/labels", save_labels, LabelsRequest, writes=True),
 ]

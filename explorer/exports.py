@@ -5,8 +5,8 @@
     POST /api/export {the same, folder, planned?} → a job, whose command is that of the plan
     GET /api/export/ID → what a job has written: {folder, files, bytes, excluded, command}
 
-`what` and `how` have the fields of `What` and `How` of `pipelines.export.request`. A server that is read only shows
-plans and refuses to write: an export writes files, although none into the store.
+`what` and `how` have the fields of `IntervalSource` and `ClipOptions` of `pipelines.export.request`. A server that is
+read only shows plans and refuses to write: an export writes files, although none into the store.
 """
 
 from __future__ import annotations
@@ -21,28 +21,28 @@ import numpy as np
 from pydantic import Field
 from starlette.requests import Request
 
-from kinedex.explorer.addresses import Question, get, post
 from kinedex.explorer.answers import NotFoundError, command_line, python_lines
-from kinedex.explorer.archive import Archive
+from kinedex.explorer.endpoints import RequestBody, get, post
 from kinedex.explorer.hits import take_condition
 from kinedex.explorer.jobs import Job, jobs_of
+from kinedex.explorer.open_archive import Archive
 from kinedex.explorer.selections import SQL_SECONDS, Filter, Selection
 from kinedex.ops.errors import ConflictError, KinedexError
 from kinedex.ops.local_paths import refuse_addresses
 from kinedex.pipelines.engine.display import no_progress
-from kinedex.pipelines.export.folder import DATA_SET, METADATA, Written, require_own, written_by
-from kinedex.pipelines.export.metadata import Facts, data_set_text, metadata_rows, metadata_text, split_facts
-from kinedex.pipelines.export.plan import Plan, estimated_bytes, planned
-from kinedex.pipelines.export.request import CLIPS, FORMS, SPLITS, How, What
-from kinedex.pipelines.export.work import Done
-from kinedex.storage.duck import quote
+from kinedex.pipelines.export.clip_batches import Done
+from kinedex.pipelines.export.data_set_folder import DATA_SET, METADATA, WrittenFile, require_own, written_by
+from kinedex.pipelines.export.data_set_record import Facts, data_set_text, metadata_rows, metadata_text, split_facts
+from kinedex.pipelines.export.export_plan import Plan, estimated_bytes, plan_clips
+from kinedex.pipelines.export.request import CLIPS, FILE_FORMATS, SPLITS, ClipOptions, IntervalSource
+from kinedex.storage.duckdb_sql import quote
 from kinedex.storage.store.store import Store
 
 Row = dict[str, Any]
 
 TITLE = "Export"
 
-MOST_HITS = 1000
+MAX_HITS = 1000
 """Maximum number of hits of a request, because they are written into the command line, whose length systems limit."""
 
 NAMES = {"hits": "name the saved hits", "ranges": "name the file", "sql": "write a query"}
@@ -52,7 +52,7 @@ Name = Annotated[str, Field(min_length=1, max_length=500)]
 Frame = Annotated[int, Field(ge=0)]
 
 
-class ExportedHit(Question):
+class ExportedHit(RequestBody):
     """An interval that another page passes on; `mirrored` if it matches the mirror image of a template or query."""
 
     take: Name
@@ -62,7 +62,7 @@ class ExportedHit(Question):
     mirrored: bool = False
 
 
-class ExportQuestion(Question):
+class ExportRequest(RequestBody):
     """A request to plan or write an export.
 
     `what` and `how` are the selection and the form of the data set, `filters` restrict its takes further, `hits`
@@ -70,10 +70,10 @@ class ExportQuestion(Question):
     shown: if the store has changed since then, nothing is written.
     """
 
-    what: What = What()
-    how: How = How()
+    what: IntervalSource = IntervalSource()
+    how: ClipOptions = ClipOptions()
     filters: tuple[Filter, ...] = ()
-    hits: Annotated[tuple[ExportedHit, ...], Field(max_length=MOST_HITS)] = ()
+    hits: Annotated[tuple[ExportedHit, ...], Field(max_length=MAX_HITS)] = ()
     folder: Annotated[str, Field(max_length=4000)] | None = None
     planned: str | None = None
 
@@ -82,12 +82,12 @@ def export_facts(archive: Archive, _request: Request) -> Row:
     """Return the formats of exports, and the job of the last export of this server."""
     last = [job for job in jobs_of(archive).every() if job.title == TITLE]
     return {
-        "forms": [{"name": name, "meaning": form.meaning} for name, form in FORMS.items()],
+        "forms": [{"name": name, "meaning": form.meaning} for name, form in FILE_FORMATS.items()],
         "job": last[-1].shown() if last else None,
     }
 
 
-def request_of(store: Store, asked: ExportQuestion) -> What:
+def request_of(store: Store, asked: ExportRequest) -> IntervalSource:
     """Return the description of the intervals to export that a request of the explorer page asks for."""
     kind, name = asked.what.kind, asked.what.name
     if asked.hits:
@@ -134,9 +134,9 @@ def folder_of(archive: Archive, text: str) -> Path:
     return folder
 
 
-def words_of(archive: Archive, what: What, how: How, folder: str) -> tuple[str, ...]:
+def export_command(archive: Archive, what: IntervalSource, how: ClipOptions, folder: str) -> tuple[str, ...]:
     """Return the arguments of the `kinedex export` command that performs a request."""
-    plain = How()
+    plain = ClipOptions()
     words = [
         "export",
         str(archive.path),
@@ -166,16 +166,16 @@ def words_of(archive: Archive, what: What, how: How, folder: str) -> tuple[str, 
 
 
 _ARGUMENTS = {"form": "format", "rate_hz": "resample"}
-"""A dict from fields of `How` to their names as arguments of `Store.export`, where these differ."""
+"""A dict from fields of `ClipOptions` to their names as arguments of `Store.export`, where these differ."""
 
 
-def python_line(what: What, how: How, folder: str) -> str:
+def python_line(what: IntervalSource, how: ClipOptions, folder: str) -> str:
     """Return the line of Python that performs a request."""
     named: Row = {} if what.kind == "takes" else {what.kind: True if what.kind not in NAMES else str(what.name)}
     parts = {"where": what.where, "classes": what.classes, "pipeline": what.pipeline}
     named |= {key: value for key, value in parts.items() if value}
     named |= {} if what.min_confidence is None else {"min_confidence": what.min_confidence}
-    changed = {key: value for key, value in vars(how).items() if value != getattr(How(), key)}
+    changed = {key: value for key, value in vars(how).items() if value != getattr(ClipOptions(), key)}
     named |= {"format": how.form} | {_ARGUMENTS.get(key, key): value for key, value in changed.items()}
     takes = [repr(list(what.takes))] if what.takes else []
     return f"store.export({', '.join([repr(folder), *takes, *(f'{key}={value!r}' for key, value in named.items())])})"
@@ -185,7 +185,7 @@ def _decimal(value: float) -> str:
     return f"{value:.9f}".rstrip("0").rstrip(".")
 
 
-def plan_export(archive: Archive, asked: ExportQuestion, _request: Request) -> Row:
+def plan_export(archive: Archive, asked: ExportRequest, _request: Request) -> Row:
     """Return the plan of an export: its clips, splits and sizes.
 
     Returns
@@ -202,7 +202,7 @@ def plan_export(archive: Archive, asked: ExportQuestion, _request: Request) -> R
     folder = folder_of(archive, asked.folder) if asked.folder and asked.folder.strip() else None
     if what.kind == "sql":
         store.answer(str(what.name), timeout=SQL_SECONDS)
-    plan = planned(store, what, how, no_progress)
+    plan = plan_clips(store, what, how, no_progress)
     with archive.kernels:
         sizes = estimated_bytes(store, how, plan)
     rows, record = _records(store, what, how, plan)
@@ -220,14 +220,14 @@ def plan_export(archive: Archive, asked: ExportQuestion, _request: Request) -> R
         "earlier": folder is not None and folder.is_dir() and bool(os.listdir(folder)),
         "state": state["labels"],
         "version": state["version"],
-        "command": command_line("kinedex", *words_of(archive, what, how, str(folder or "FOLDER"))),
+        "command": command_line("kinedex", *export_command(archive, what, how, str(folder or "FOLDER"))),
         "python": python_lines(archive.path, python_line(what, how, str(folder or "FOLDER"))),
     }
 
 
-def _records(store: Store, what: What, how: How, plan: Plan) -> tuple[list[Row], int]:
+def _records(store: Store, what: IntervalSource, how: ClipOptions, plan: Plan) -> tuple[list[Row], int]:
     """Return the rows of metadata.csv, and the bytes of it and of dataset.json, which follow from the plan."""
-    done = [Done(job, tuple(Written(file, job.fingerprint, "0" * 64) for file in job.files)) for job in plan.jobs]
+    done = [Done(job, tuple(WrittenFile(file, job.fingerprint, "0" * 64) for file in job.files)) for job in plan.jobs]
     facts = Facts(store, what, how, {}, plan.remarks)
     rows = metadata_rows(facts, done)
     return rows, len(metadata_text(rows).encode()) + len(data_set_text(facts, rows, done).encode())
@@ -253,7 +253,7 @@ def _by_class(rows: list[Row], sizes: list[int] | None) -> list[Row]:
     ]
 
 
-def write_export(archive: Archive, asked: ExportQuestion, _request: Request) -> Row:
+def write_export(archive: Archive, asked: ExportRequest, _request: Request) -> Row:
     """Start a job that writes an export, and return it as a JSON object."""
     if not asked.folder or not asked.folder.strip():
         raise KinedexError("the folder is missing: name one that does not exist yet, or is empty")
@@ -264,7 +264,7 @@ def write_export(archive: Archive, asked: ExportQuestion, _request: Request) -> 
             raise ConflictError("the store has changed since this was planned; look at the plan and write again")
 
     check()
-    words = words_of(archive, request_of(archive.store(), asked), asked.how, str(folder))
+    words = export_command(archive, request_of(archive.store(), asked), asked.how, str(folder))
     return jobs_of(archive).add(Job(TITLE, words, check=check)).shown()
 
 
@@ -288,7 +288,7 @@ def written_export(archive: Archive, request: Request) -> Row:
 
 routes = [
     get("/api/export", export_facts),
-    post("/api/export/plan", plan_export, ExportQuestion),
-    post("/api/export", write_export, ExportQuestion, writes=True),
+    post("/api/export/plan", plan_export, ExportRequest),
+    post("/api/export", write_export, ExportRequest, writes=True),
     get("/api/export/{job}", written_export),
 ]

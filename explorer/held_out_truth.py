@@ -11,28 +11,28 @@ import numpy as np
 import numpy.typing as npt
 
 from kinedex.catalog.classes import Classes, MotionClass
-from kinedex.explorer.archive import Archive
 from kinedex.explorer.class_annotation import PipelineMaterial, word_batches
-from kinedex.explorer.template_edits import EditQuestion
-from kinedex.explorer.templates import TemplateUse, named, template_use
+from kinedex.explorer.open_archive import Archive
+from kinedex.explorer.template_edits import EditRequest
+from kinedex.explorer.templates import TemplateUse, template_named, template_use
 from kinedex.ops.annotation.calibration import best_threshold
 from kinedex.ops.arrays import F64
 from kinedex.ops.cache import Cache
 from kinedex.ops.evaluation.metrics import Counts
 from kinedex.ops.intervals import in_seconds
-from kinedex.ops.wording import counted, few
+from kinedex.ops.wording import counted, name_list
 from kinedex.ops.words import TakeWords
 from kinedex.pipelines.templates.examples import interval_of
-from kinedex.pipelines.templates.learning import SubclassTemplate
 from kinedex.pipelines.templates.stored_clips import StoredClip, stored_clips, template_costs
-from kinedex.storage.snapshot.labels import is_of_limbs
+from kinedex.pipelines.templates.template_learning import SubclassTemplate
+from kinedex.storage.snapshot.stored_labels import is_of_limbs
 from kinedex.storage.store.store import Store
 
 Source = Literal["evaluation", "labels"]
 
 SOURCES: tuple[Source, ...] = ("evaluation", "labels")
 
-MOST_SECONDS = 3600.0
+MAX_SECONDS = 3600.0
 """Maximum number of seconds of held-out takes, in all, for an evaluation, unless all takes are asked for."""
 
 Segments = dict[str, list[tuple[int, int]]]
@@ -47,7 +47,7 @@ _PREPARING = Lock()
 
 
 @dataclass(frozen=True)
-class HeldOut:
+class HeldOutTakes:
     """The takes that a template is judged by.
 
     Attributes
@@ -85,7 +85,7 @@ def held_out_takes(
     asked: Source | None = None,
     *,
     everything: bool = False,
-) -> HeldOut:
+) -> HeldOutTakes:
     """Return the takes with ground truth that contain no example of the class's templates.
 
     Parameters
@@ -101,7 +101,7 @@ def held_out_takes(
     asked : {"evaluation", "labels"}, optional
         The source of the ground truth; by default the evaluation if there is one, else labels.
     everything : bool, optional
-        True for all takes; otherwise random ones with at most `MOST_SECONDS` in all.
+        True for all takes; otherwise random ones with at most `MAX_SECONDS` in all.
     """
     found: dict[Source, tuple[Segments, list[str]]] = {}
     if use.evaluate is not None:
@@ -112,35 +112,35 @@ def held_out_takes(
     sources = tuple(source for source in SOURCES if source in found)
     source = asked if asked in found else next(iter(sources), None)
     if source is None:
-        return HeldOut(None, (), {}, (), 0, _no_truth(use))
+        return HeldOutTakes(None, (), {}, (), 0, _no_truth(use))
     known, remarks = found[source]
     examples = {interval_of(clip, store.take_ids)[0] for one in templates for clip in one.clips}
     unknown = [one.subclass for one in templates if not one.clips]
     if unknown:
         remarks = [
             *remarks,
-            f"which takes these templates were made from is not known, as they are of files: {few(unknown)}",
+            f"which takes these templates were made from is not known, as they are of files: {name_list(unknown)}",
         ]
     gone = sorted(set(known) - set(store.take_ids))
     if gone:
-        remarks = [*remarks, f"takes with ground truth that the store has no more: {few(gone)}"]
+        remarks = [*remarks, f"takes with ground truth that the store has no more: {name_list(gone)}"]
     judged = {
         store.take_ids[take]: own for take, own in known.items() if take in store.take_ids and take not in examples
     }
     every = sorted(judged)
-    takes = {take: judged[take] for take in (every if everything else drawn_takes(store, every))}
+    takes = {take: judged[take] for take in (every if everything else sampled_takes(store, every))}
     among = sum(take in examples for take in known)
     missing = "" if takes else _all_examples(label, among)
     if takes and not any(takes.values()):
         remarks = [*remarks, f"none of these takes has a segment of {label}: recall is not defined, and F is no guide"]
-    return HeldOut(source, sources, takes, tuple(every), among, missing, tuple(remarks))
+    return HeldOutTakes(source, sources, takes, tuple(every), among, missing, tuple(remarks))
 
 
-def drawn_takes(store: Store, takes: Sequence[int]) -> list[int]:
-    """Return takes of `MOST_SECONDS` in all, one at least, in a drawn order that is the same each time."""
+def sampled_takes(store: Store, takes: Sequence[int]) -> list[int]:
+    """Return takes of `MAX_SECONDS` in all, one at least, in a drawn order that is the same each time."""
     order = np.random.default_rng(0).permutation(len(takes)).tolist()
     lengths = np.cumsum([in_seconds(store.take_frames[takes[place]], store.rate_hz) for place in order])
-    count = max(1, int(np.searchsorted(lengths, MOST_SECONDS, side="right")))
+    count = max(1, int(np.searchsorted(lengths, MAX_SECONDS, side="right")))
     return [takes[place] for place in order[:count]]
 
 
@@ -189,7 +189,7 @@ def labelled_segments(store: Store, use: TemplateUse, label: str) -> tuple[Segme
         own.append((row["start"], row["stop"]))
     remarks = ["labels are taken as complete: what nobody has labelled in a take with labels counts as another motion"]
     if beyond:
-        remarks.append(f"labels beyond the end of their take, excluded: {few(beyond)}")
+        remarks.append(f"labels beyond the end of their take, excluded: {name_list(beyond)}")
     return found, remarks
 
 
@@ -270,7 +270,7 @@ class Prepared:
     one: SubclassTemplate
     label: str
     others: tuple[SubclassTemplate, ...]
-    held_out: HeldOut
+    held_out: HeldOutTakes
     batches: list[TakeWords]
     training: TrainingCosts
     material: PipelineMaterial
@@ -296,7 +296,7 @@ class Prepared:
 _PREPARED: Cache[tuple[object, ...], Prepared] = Cache(KEPT)
 
 
-def prepared_template(archive: Archive, store: Store, asked: EditQuestion) -> Prepared:
+def prepared_template(archive: Archive, store: Store, asked: EditRequest) -> Prepared:
     """Return the data for judging edits of a template: ground truth, words and costs; cached for later requests."""
     which = (asked.stage, asked.kind, asked.template, asked.truth, asked.everything)
     key = (str(archive.path), store.manifest.version, archive.state()["labels"], *which)
@@ -304,9 +304,9 @@ def prepared_template(archive: Archive, store: Store, asked: EditQuestion) -> Pr
         return _PREPARED.get(key) or _PREPARED.put(key, _prepare(store, asked))
 
 
-def _prepare(store: Store, asked: EditQuestion) -> Prepared:
+def _prepare(store: Store, asked: EditRequest) -> Prepared:
     use = template_use(store, asked.stage, asked.kind)
-    one = named(use, asked.template)
+    one = template_named(use, asked.template)
     label = use.class_of(one.subclass)
     every = use.class_templates(label)
     others = tuple(other for other in every if other.subclass != one.subclass)

@@ -17,24 +17,24 @@ import pyarrow.compute as pc
 from pydantic import Field
 from starlette.requests import Request
 
-from kinedex.explorer.addresses import Question, post
-from kinedex.explorer.archive import Archive
-from kinedex.explorer.selections import Selection, columns_with_nan, condition_of, over_takes_alone
+from kinedex.explorer.endpoints import RequestBody, post
+from kinedex.explorer.open_archive import Archive
+from kinedex.explorer.selections import Selection, columns_with_nan, condition_of, takes_only_selection
 from kinedex.ops.errors import ParameterError
 from kinedex.ops.intervals import Hit, Interval
-from kinedex.storage.snapshot.labels import is_of_limbs
+from kinedex.storage.snapshot.stored_labels import is_of_limbs
 from kinedex.storage.store.store import Store
 
-MOST_HITS = 500
+MAX_HITS = 500
 """Maximum number of hits of one answer."""
 
 SHARED = 0.5
 """Minimum overlap, as a fraction of the shorter interval, at which a label counts for a hit; the page uses it, too."""
 
-Limit = Annotated[int, Field(ge=1, le=MOST_HITS)]
+Limit = Annotated[int, Field(ge=1, le=MAX_HITS)]
 
 
-class ChosenHit(Question):
+class ChosenHit(RequestBody):
     """An interval of a take, by its id or its name: an example, or a hit that was accepted or rejected."""
 
     take_id: int | None = None
@@ -65,13 +65,13 @@ class ChosenHit(Question):
         return Hit(Interval(store.take_names[take_id], self.start, self.stop), mirrored=self.mirrored)
 
 
-class LabelledQuestion(Question):
+class HitLabelsRequest(RequestBody):
     """A request for the labels of hits."""
 
-    hits: Annotated[tuple[ChosenHit, ...], Field(max_length=MOST_HITS)]
+    hits: Annotated[tuple[ChosenHit, ...], Field(max_length=MAX_HITS)]
 
 
-def find_labels(archive: Archive, asked: LabelledQuestion, _request: Request) -> dict[str, Any]:
+def find_labels(archive: Archive, asked: HitLabelsRequest, _request: Request) -> dict[str, Any]:
     """Return the labels of each hit, by the fraction of overlap, the largest first."""
     store = archive.store()
     places = [one.hit(store).interval for one in asked.hits]
@@ -115,9 +115,9 @@ def shown_hits(store: Store, hits: Iterable[Hit]) -> list[dict[str, Any]]:
 
 def take_condition(store: Store, selection: Selection) -> str | None:
     """Return the condition on takes of a selection as SQL over their columns alone, None for all takes."""
-    selection = over_takes_alone(store, selection)
+    selection = takes_only_selection(store, selection)
     condition = condition_of(selection, store.take_rows.column_names, columns_with_nan(store))
     return condition.removeprefix(" WHERE ") or None
 
 
-routes = [post("/api/ask/labelled", find_labels, LabelledQuestion)]
+routes = [post("/api/ask/labelled", find_labels, HitLabelsRequest)]

@@ -30,10 +30,10 @@ from weakref import WeakKeyDictionary
 
 from starlette.requests import Request
 
-from kinedex.explorer.addresses import Question, get, post
 from kinedex.explorer.answers import NotFoundError, command_line
-from kinedex.explorer.archive import Archive
-from kinedex.storage.disk import write_errors
+from kinedex.explorer.endpoints import RequestBody, get, post
+from kinedex.explorer.open_archive import Archive
+from kinedex.storage.durable_files import write_errors
 from kinedex.storage.snapshot.manifest_files import versions
 
 FOLDER = "jobs"
@@ -45,13 +45,13 @@ LOOK_SECONDS = 0.3
 END_SECONDS = 20.0
 """Seconds that a stopped job may take to end; then it is killed, and what it has not committed is lost."""
 
-MOST_LOG_BYTES = 200_000
+MAX_LOG_BYTES = 200_000
 """The end of a log that is sent; the file has all of it."""
 
 State = Literal["waiting", "running", "done", "failed", "stopped"]
 
 
-PROGRAM = "kinedex.explorer.waiting_command"
+PROGRAM = "kinedex.explorer.warm_process_main"
 """The module that the process runs."""
 
 _MAKING = threading.Lock()
@@ -112,7 +112,7 @@ class Job:
         }
 
 
-class SpareProcess:
+class WarmProcess:
     """The server's handle of a process that waits for a command.
 
     Parameters
@@ -162,7 +162,7 @@ class Jobs:
         self._lock = threading.Condition()
         self._jobs: list[Job] = []
         self._process: subprocess.Popen[bytes] | None = None
-        self._spare: SpareProcess | None = None
+        self._spare: WarmProcess | None = None
         self._ended = False
         self._thread: threading.Thread | None = None
 
@@ -181,7 +181,7 @@ class Jobs:
         """Start a process that imports what learning needs, so that the next job that learns begins at once."""
         with self._lock:
             if not self._ended and (self._spare is None or not self._spare.waits):
-                self._spare = SpareProcess(**_GROUP)
+                self._spare = WarmProcess(**_GROUP)
 
     def _begin(self, job: Job, out: IO[bytes], words: Sequence[str]) -> subprocess.Popen[bytes]:
         """Start and return the process of a job, or pass the job to the spare process; call this with the lock held."""
@@ -387,7 +387,7 @@ def end_jobs(archive: Archive) -> None:
         found.end()
 
 
-def run_words(archive: Archive, pipeline: Path | str, assignments: Sequence[str] = ()) -> tuple[str, ...]:
+def run_command(archive: Archive, pipeline: Path | str, assignments: Sequence[str] = ()) -> tuple[str, ...]:
     """Return the words of the command that runs a pipeline on the store of an explorer."""
     hours = sum(archive.store().take_rows.column("seconds").to_pylist()) / 3600
     executor = "serial" if hours < 1 else "processes"
@@ -395,11 +395,11 @@ def run_words(archive: Archive, pipeline: Path | str, assignments: Sequence[str]
     return ("run", str(pipeline), "--store", str(archive.path), *settings, "--executor", executor, "--wait", "10m")
 
 
-class NoQuestion(Question):
+class NoRequest(RequestBody):
     """A request whose body is an empty object, {}."""
 
 
-class StopQuestion(Question):
+class StopRequest(RequestBody):
     """The request to stop a job: as Ctrl-C does, or by force."""
 
     force: bool = False
@@ -414,10 +414,10 @@ def job_log(archive: Archive, request: Request) -> dict[str, Any]:
     """Return the end of the log of a job."""
     jobs = jobs_of(archive)
     job = jobs.find(request.path_params["job"])
-    return {"text": _tail(jobs.log_file(job), MOST_LOG_BYTES), "file": str(jobs.log_file(job))}
+    return {"text": _tail(jobs.log_file(job), MAX_LOG_BYTES), "file": str(jobs.log_file(job))}
 
 
-def stop_job(archive: Archive, asked: StopQuestion, request: Request) -> dict[str, Any]:
+def stop_job(archive: Archive, asked: StopRequest, request: Request) -> dict[str, Any]:
     """Stop a job, and return its state as a JSON object."""
     jobs = jobs_of(archive)
     job = jobs.find(request.path_params["job"])
@@ -428,5 +428,5 @@ def stop_job(archive: Archive, asked: StopQuestion, request: Request) -> dict[st
 routes = [
     get("/api/jobs", list_jobs),
     get("/api/jobs/{job}/log", job_log),
-    post("/api/jobs/{job}/stop", stop_job, StopQuestion, writes=True),
+    post("/api/jobs/{job}/stop", stop_job, StopRequest, writes=True),
 ]

@@ -30,51 +30,51 @@ from kinedex.catalog.configs import parse_yaml, scalar
 from kinedex.catalog.queries.keyframe_query import KeyframeQuery, WordPattern, features_of, word_pattern
 from kinedex.catalog.queries.query_reader import parse_queries, references
 from kinedex.catalog.queries.query_writer import pose_groups, pose_text, write_queries
-from kinedex.explorer.addresses import Question, get, post
 from kinedex.explorer.answers import NotFoundError, command_line, python_lines
-from kinedex.explorer.archive import Archive
+from kinedex.explorer.endpoints import RequestBody, get, post
 from kinedex.explorer.hits import ChosenHit, Limit, shown_hits, take_condition
+from kinedex.explorer.open_archive import Archive
 from kinedex.explorer.selections import Selection
 from kinedex.explorer.templates import learning_stages
 from kinedex.ops.errors import ConfigError, KinedexError
 from kinedex.ops.intervals import in_seconds, nearest_frame
 from kinedex.ops.search.gaps import UNBOUNDED
 from kinedex.ops.words import NO_WORD, U64
-from kinedex.pipelines.keyframes.learning import Outcome, keyframe_queries
-from kinedex.pipelines.keyframes.runs import outcomes_of
-from kinedex.pipelines.keyframes.stored_queries import sentence
-from kinedex.pipelines.search.query_proposal import propose_query
-from kinedex.pipelines.search.search import search_remarks, search_store
+from kinedex.pipelines.keyframes.learning_runs import outcomes_of
+from kinedex.pipelines.keyframes.proposed_query import propose_query
+from kinedex.pipelines.keyframes.query_learning import Outcome, keyframe_queries
+from kinedex.pipelines.keyframes.store_search import search_remarks, search_store
+from kinedex.pipelines.keyframes.stored_queries import query_sentence
 from kinedex.pipelines.templates.stored_clips import clip_intervals, words_of
 from kinedex.storage.snapshot.schemas import hits_of
 from kinedex.storage.store.store import Store
 
-MOST_TEXT = 100_000
-MOST_POSES = 20
+MAX_TEXT = 100_000
+MAX_POSES = 20
 
 
 Row = dict[str, Any]
 
 
-class PoseEntry(Question):
+class PoseEntry(RequestBody):
     """A pose: the features that are on, and the features that are off; all others are wildcards."""
 
     on: tuple[str, ...] = ()
     off: tuple[str, ...] = ()
 
 
-class GapEntry(Question):
+class GapEntry(RequestBody):
     """The time from one pose to the next, in seconds; without `high` any time from `low` on."""
 
     low: Annotated[float, Field(ge=0, le=86_400)]
     high: Annotated[float | None, Field(ge=0, le=86_400)] = None
 
 
-class QueryEntry(Question):
+class QueryEntry(RequestBody):
     """A sequence of poses."""
 
     name: Annotated[str, Field(min_length=1, max_length=100)] = "query"
-    poses: Annotated[tuple[PoseEntry, ...], Field(min_length=1, max_length=MOST_POSES)]
+    poses: Annotated[tuple[PoseEntry, ...], Field(min_length=1, max_length=MAX_POSES)]
     gaps: tuple[GapEntry, ...] = ()
 
     @model_validator(mode="after")
@@ -84,28 +84,28 @@ class QueryEntry(Question):
         return self
 
 
-class KeyframesQuestion(Selection):
+class KeyframesRequest(Selection):
     """A request to search for keyframes, given as text or as poses."""
 
-    text: Annotated[str | None, Field(max_length=MOST_TEXT)] = None
+    text: Annotated[str | None, Field(max_length=MAX_TEXT)] = None
     query: QueryEntry | None = None
     limit: Limit = 100
 
     @model_validator(mode="after")
-    def _one(self) -> KeyframesQuestion:
+    def _one(self) -> KeyframesRequest:
         if (self.text is None) == (self.query is None):
             raise ValueError("give either `text` or `query`")
         return self
 
 
-class ProposalQuestion(ChosenHit):
+class ProposalRequest(ChosenHit):
     """A request to propose keyframes for an example."""
 
-    keyframes: Annotated[int, Field(ge=1, le=MOST_POSES)] = 3
+    keyframes: Annotated[int, Field(ge=1, le=MAX_POSES)] = 3
     name: Annotated[str, Field(min_length=1, max_length=100)] = "proposed"
 
 
-def find_keyframes(archive: Archive, asked: KeyframesQuestion, _request: Request) -> dict[str, Any]:
+def find_keyframes(archive: Archive, asked: KeyframesRequest, _request: Request) -> dict[str, Any]:
     """Return the first hits of keyframe queries, and the number of all."""
     begin = time.perf_counter()
     store = archive.store()
@@ -199,7 +199,7 @@ def model_of(queries: Sequence[KeyframeQuery], store: Store) -> dict[str, Any] |
     return {"name": first.name, "poses": poses, "gaps": gaps}
 
 
-def propose(archive: Archive, asked: ProposalQuestion, _request: Request) -> dict[str, Any]:
+def propose(archive: Archive, asked: ProposalRequest, _request: Request) -> dict[str, Any]:
     """Return keyframes of an example, as text and as poses."""
     store = archive.store()
     take, start, stop = asked.hit(store).interval
@@ -242,7 +242,7 @@ def _rows(store: Store, outcome: Outcome, queries: Sequence[KeyframeQuery]) -> l
             "clips": len(outcome.clips),
             "text": write_queries([query], store.feature_set),
             "query": model_of([query], store),
-            "sentence": sentence(query, store.feature_set),
+            "sentence": query_sentence(query, store.feature_set),
             "seen": _seen(store, outcome, query),
         }
         for number, query in enumerate(queries)
@@ -294,7 +294,7 @@ def frames_of_poses(words: U64, pattern: WordPattern) -> list[int] | None:
 
 
 routes = [
-    post("/api/ask/keyframes", find_keyframes, KeyframesQuestion),
-    post("/api/ask/propose", propose, ProposalQuestion),
+    post("/api/ask/keyframes", find_keyframes, KeyframesRequest),
+    post("/api/ask/propose", propose, ProposalRequest),
     get("/api/queries", list_queries),
 ]

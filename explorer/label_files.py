@@ -14,35 +14,35 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from pydantic import Field
 
-from kinedex.explorer.addresses import Question, post
 from kinedex.explorer.answers import command_line
+from kinedex.explorer.endpoints import RequestBody, post
 from kinedex.ops.errors import ConflictError, KinedexError
 from kinedex.ops.local_paths import refuse_addresses
-from kinedex.pipelines.annotation.tables import annotate_stage
+from kinedex.pipelines.annotation.annotation_tables import annotation_stage
 from kinedex.pipelines.labels.decisions import (
     counts_of,
     import_labels,
     new_rows,
     proposed_labels,
 )
-from kinedex.pipelines.labels.label_files import label_files, labels_kept, labels_of
+from kinedex.pipelines.labels.label_files import annotation_labels, label_files, stored_labels
+from kinedex.storage.formats.labels.file_labels import LabelFile
 from kinedex.storage.formats.labels.formats import FORMATS, write_labels
-from kinedex.storage.formats.labels.segments import LabelFile
 
 if TYPE_CHECKING:
     from starlette.requests import Request
 
-    from kinedex.explorer.archive import Archive
+    from kinedex.explorer.open_archive import Archive
 
 Row = dict[str, Any]
 
-MOST_ROWS = 2000
+MAX_ROWS = 2000
 """Maximum number of rows of an answer; the numbers count all of them."""
 
 Place = Annotated[str, Field(min_length=1, max_length=4000)]
 
 
-class FilesQuestion(Question):
+class FilesRequest(RequestBody):
     """A request to preview label files."""
 
     paths: Annotated[tuple[Place, ...], Field(min_length=1, max_length=100)]
@@ -50,14 +50,14 @@ class FilesQuestion(Question):
     stage: str | None = None
 
 
-class ImportQuestion(FilesQuestion):
+class ImportRequest(FilesRequest):
     """Files to import, with the checksum that they had when they were read."""
 
     checksum: str
     annotator: Annotated[str, Field(max_length=200)] | None = None
 
 
-def read_files(archive: Archive, asked: FilesQuestion, _request: Request) -> Row:
+def read_files(archive: Archive, asked: FilesRequest, _request: Request) -> Row:
     """Return the changes to labels that an import of the files would make, without recording them."""
     store = archive.store()
     files, checksum = _files(asked)
@@ -79,12 +79,12 @@ def read_files(archive: Archive, asked: FilesQuestion, _request: Request) -> Row
         "counts": counts_of(rows),
         "remarks": list(proposed.remarks),
         "total": len(rows),
-        "rows": [difference(row) for row in rows[:MOST_ROWS]],
+        "rows": [difference(row) for row in rows[:MAX_ROWS]],
         "command": _command(archive, asked, None),
     }
 
 
-def import_files(archive: Archive, asked: ImportQuestion, _request: Request) -> Row:
+def import_files(archive: Archive, asked: ImportRequest, _request: Request) -> Row:
     """Record the labels of files, provided that the files have not changed since `read_files`."""
     store = archive.store()
     files, checksum = _files(asked)
@@ -102,7 +102,7 @@ def import_files(archive: Archive, asked: ImportQuestion, _request: Request) -> 
     }
 
 
-def _files(asked: FilesQuestion) -> tuple[list[LabelFile], str]:
+def _files(asked: FilesRequest) -> tuple[list[LabelFile], str]:
     """Read the files, and return them with a checksum of what they state."""
     refuse_addresses(asked.paths)
     paths = [Path(one).expanduser() for one in asked.paths]
@@ -116,14 +116,14 @@ def _files(asked: FilesQuestion) -> tuple[list[LabelFile], str]:
     return files, hashlib.sha256(text.encode("utf-8", "surrogateescape")).hexdigest()
 
 
-def _command(archive: Archive, asked: FilesQuestion, annotator: str | None) -> str:
+def _command(archive: Archive, asked: FilesRequest, annotator: str | None) -> str:
     more = ["--corrects", asked.corrects] if asked.corrects else []
     more += ["--stage", asked.stage] if asked.stage and asked.corrects == "annotations" else []
     more += ["--annotator", annotator] if annotator else []
     return command_line("kinedex", "labels", "import", archive.path, *asked.paths, *more)
 
 
-class ExportQuestion(Question):
+class LabelExportRequest(RequestBody):
     """A request to export label files."""
 
     what: Literal["annotations", "labels"]
@@ -135,17 +135,17 @@ class ExportQuestion(Question):
     force: bool = False
 
 
-def export_files(archive: Archive, asked: ExportQuestion, _request: Request) -> Row:
+def export_files(archive: Archive, asked: LabelExportRequest, _request: Request) -> Row:
     """Write label files into the folder that the person names."""
     store = archive.store()
     where = (asked.where or "").strip() or None
     rejected = 0
     if asked.what == "labels":
-        takes = labels_kept(store, asked.takes, where)
+        takes = stored_labels(store, asked.takes, where)
         if not takes:
             raise KinedexError("no take has a label that could be written")
     else:
-        annotations = labels_of(store, annotate_stage(store, asked.stage), asked.takes, where)
+        annotations = annotation_labels(store, annotation_stage(store, asked.stage), asked.takes, where)
         takes, rejected = annotations.takes, annotations.rejected
     refuse_addresses(asked.folder)
     folder = Path(asked.folder).expanduser()
@@ -169,7 +169,7 @@ def export_files(archive: Archive, asked: ExportQuestion, _request: Request) -> 
 
 
 routes = [
-    post("/api/labels/read", read_files, FilesQuestion),
-    post("/api/labels/import", import_files, ImportQuestion, writes=True),
-    post("/api/labels/export", export_files, ExportQuestion, writes=True),
+    post("/api/labels/read", read_files, FilesRequest),
+    post("/api/labels/import", import_files, ImportRequest, writes=True),
+    post("/api/labels/export", export_files, LabelExportRequest, writes=True),
 ]

@@ -31,24 +31,24 @@ import pyarrow as pa
 import pyarrow.compute as pc
 from pydantic import Field
 
-from kinedex.explorer.addresses import Question, get, post, take_of
 from kinedex.explorer.answers import command_line, python_lines
+from kinedex.explorer.endpoints import RequestBody, get, post, take_of
 from kinedex.ops.errors import KinedexError, did_you_mean
-from kinedex.pipelines.annotation.tables import annotate_stage
-from kinedex.pipelines.labels.edits import LabelEdits, label_edits, record_edits
-from kinedex.pipelines.labels.selection import Selection, selected
-from kinedex.storage.duck import quote
+from kinedex.pipelines.annotation.annotation_tables import annotation_stage
+from kinedex.pipelines.labels.label_edits import LabelEdits, label_edits, record_edits
+from kinedex.pipelines.labels.row_selection import RowSelection, selected_rows
+from kinedex.storage.duckdb_sql import quote
 from kinedex.storage.sql.result_scans import shown_labels
 
 if TYPE_CHECKING:
     from starlette.requests import Request
 
-    from kinedex.explorer.archive import Archive
+    from kinedex.explorer.open_archive import Archive
     from kinedex.storage.store.store import Store
 
 Row = dict[str, Any]
 
-MOST_CHANGES = 1000
+MAX_CHANGES = 1000
 """Maximum number of changes of one request."""
 
 BLOCK = 500
@@ -62,7 +62,7 @@ _DECIDING = threading.Lock()
 """Held while a request is checked against the labels and recorded, so that requests of two tabs follow each other."""
 
 
-class Draw(Question):
+class Draw(RequestBody):
     """Add a label."""
 
     do: Literal["draw"]
@@ -80,7 +80,7 @@ class Draw(Question):
         edits.draw(self.id, take, self.label, self.start, self.stop, **more)
 
 
-class Change(Question):
+class Change(RequestBody):
     """Give a label another class, other edges or another verdict."""
 
     do: Literal["change"]
@@ -97,7 +97,7 @@ class Change(Question):
         edits.change(self.id, self.of, **values)
 
 
-class Split(Question):
+class Split(RequestBody):
     """Divide a label at a frame."""
 
     do: Literal["split"]
@@ -110,19 +110,19 @@ class Split(Question):
         edits.split(self.ids, self.label, self.at)
 
 
-class Join(Question):
+class Join(RequestBody):
     """Merge several labels into one."""
 
     do: Literal["join"]
-    ids: Annotated[tuple[Id, ...], Field(min_length=2, max_length=MOST_CHANGES)]
-    labels: Annotated[tuple[Id, ...], Field(min_length=2, max_length=MOST_CHANGES)]
+    ids: Annotated[tuple[Id, ...], Field(min_length=2, max_length=MAX_CHANGES)]
+    labels: Annotated[tuple[Id, ...], Field(min_length=2, max_length=MAX_CHANGES)]
 
     def apply(self, edits: LabelEdits, _take: str, _store: Store) -> None:
         """Add this change to the edits of the take."""
         edits.join(self.ids, self.labels)
 
 
-class Withdraw(Question):
+class Withdraw(RequestBody):
     """Withdraw a label."""
 
     do: Literal["withdraw"]
@@ -134,7 +134,7 @@ class Withdraw(Question):
         edits.withdraw(self.id, self.label)
 
 
-class Decide(Question):
+class Decide(RequestBody):
     """Accept or reject an annotation; `seen` is the label with its class and edges that the page showed."""
 
     do: Literal["accept", "reject"]
@@ -156,13 +156,13 @@ class Decide(Question):
         edits.decide(self.id, found, self.stage, self.seen, accept=self.do == "accept")
 
 
-class Restore(Question):
+class Restore(RequestBody):
     """Undo an edit."""
 
     do: Literal["restore"]
-    ids: Annotated[tuple[Id, ...], Field(min_length=1, max_length=2 * MOST_CHANGES)]
-    made: Annotated[tuple[Id, ...], Field(min_length=1, max_length=MOST_CHANGES)]
-    back: Annotated[tuple[Id, ...], Field(max_length=MOST_CHANGES)] = ()
+    ids: Annotated[tuple[Id, ...], Field(min_length=1, max_length=2 * MAX_CHANGES)]
+    made: Annotated[tuple[Id, ...], Field(min_length=1, max_length=MAX_CHANGES)]
+    back: Annotated[tuple[Id, ...], Field(max_length=MAX_CHANGES)] = ()
 
     def apply(self, edits: LabelEdits, _take: str, _store: Store) -> None:
         """Add this change to the edits of the take."""
@@ -172,12 +172,12 @@ class Restore(Question):
 AnyChange = Annotated[Draw | Change | Split | Join | Withdraw | Decide | Restore, Field(discriminator="do")]
 
 
-class Decisions(Question):
+class Decisions(RequestBody):
     """A request to edit the labels of a take."""
 
     take: Name
     annotator: Annotated[str, Field(max_length=200)] | None = None
-    changes: Annotated[tuple[AnyChange, ...], Field(min_length=1, max_length=MOST_CHANGES)]
+    changes: Annotated[tuple[AnyChange, ...], Field(min_length=1, max_length=MAX_CHANGES)]
 
 
 def decide(archive: Archive, asked: Decisions, _request: Request) -> Row:
@@ -196,7 +196,7 @@ def decide(archive: Archive, asked: Decisions, _request: Request) -> Row:
         "made": [row["id"] for row in edits.rows],
         "restored": edits.restored,
         "rows": [_shown(row) for row in recorded.to_pylist()],
-        **same_decisions(archive, edits.rows, edits.known),
+        **label_commands(archive, edits.rows, edits.known),
     }
 
 
@@ -249,7 +249,7 @@ def stage_of(store: Store, asked: str | None) -> str | None:
     annotating = {part.stage for part in store.manifest.results.get("annotated_takes", ())}
     if asked is None and not annotating & store.manifest.stages.keys():  # a run that was killed has no record
         return None
-    return annotate_stage(store, asked)
+    return annotation_stage(store, asked)
 
 
 def label_facts(archive: Archive, _request: Request) -> Row:
@@ -311,7 +311,7 @@ def _learned(store: Store, stage: str | None) -> Row:
     return {"stage": stage, "finished": templates.finished, "since": since}
 
 
-class LabelsQuestion(Question):
+class LabelsRequest(RequestBody):
     """A request for a block of the labels of a store."""
 
     where: str | None = None
@@ -320,14 +320,14 @@ class LabelsQuestion(Question):
     limit: Annotated[int, Field(ge=0, le=BLOCK)] = 100
 
 
-def list_labels(archive: Archive, asked: LabelsQuestion, _request: Request) -> Row:
+def list_labels(archive: Archive, asked: LabelsRequest, _request: Request) -> Row:
     """Return a block of the labels of the store, the latest first."""
     store = archive.store()
     table = shown_labels(store)
     if not asked.history:
         table = table.filter(table.column("current"))
     where = (asked.where or "").strip() or None
-    found = selected(table, Selection(where=where, every=True), "label", keep_order=True).reverse()
+    found = selected_rows(table, RowSelection(where=where, every=True), "label", keep_order=True).reverse()
     block = found.slice(asked.offset, asked.limit)
     given = ["--where", where] if where else []
     return {
@@ -343,7 +343,7 @@ _ID = 12
 """Number of digits of a label's id in a command."""
 
 
-def same_decisions(archive: Archive, rows: Iterable[Row], known: Mapping[str, Row]) -> dict[str, str]:
+def label_commands(archive: Archive, rows: Iterable[Row], known: Mapping[str, Row]) -> dict[str, str]:
     """Return the commands and the Python lines that make decisions, one line for each.
 
     Parameters
@@ -417,6 +417,6 @@ def _decide(command: Any, row: Row, by_person: str) -> tuple[str, str]:
 routes = [
     get("/api/labels", label_facts),
     get("/api/takes/{take:int}/labels", take_labels),
-    post("/api/labels/list", list_labels, LabelsQuestion),
+    post("/api/labels/list", list_labels, LabelsRequest),
     post("/api/labels/decide", decide, Decisions, writes=True),
 ]

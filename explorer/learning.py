@@ -25,29 +25,29 @@ from starlette.requests import Request
 
 from kinedex.catalog.classes import OWN, class_files
 from kinedex.catalog.configs import load_yaml
-from kinedex.explorer.addresses import Question, get, post
 from kinedex.explorer.answers import command_line
-from kinedex.explorer.archive import Archive
-from kinedex.explorer.jobs import FOLDER, Job, NoQuestion, jobs_of, run_words
+from kinedex.explorer.endpoints import RequestBody, get, post
+from kinedex.explorer.jobs import FOLDER, Job, NoRequest, jobs_of, run_command
 from kinedex.explorer.labels import stage_of
+from kinedex.explorer.open_archive import Archive
 from kinedex.ops.errors import ConflictError, KinedexError, StoreError
-from kinedex.pipelines.annotation.tables import annotate_stage
-from kinedex.pipelines.labels.segments import Difference, differences, segment_of
+from kinedex.pipelines.annotation.annotation_tables import annotation_stage
+from kinedex.pipelines.labels.file_segments import SegmentDifference, segment_differences, segment_of
 from kinedex.pipelines.templates.examples import CLIPS, LABELS
-from kinedex.storage.disk import replace_file, write_errors
-from kinedex.storage.formats.labels.segments import ManualSegment
-from kinedex.storage.snapshot.shown_results import current_pipeline
+from kinedex.storage.durable_files import replace_file, write_errors
+from kinedex.storage.formats.labels.file_labels import ManualSegment
+from kinedex.storage.snapshot.visible_results import current_pipeline
 from kinedex.storage.store.store import Store, open_store
 
 Row = dict[str, Any]
 
 PIPELINE = "learn-again"
 
-MOST_CHANGES = 1000
+MAX_CHANGES = 1000
 """Maximum number of changes of an answer; the numbers count all of them."""
 
 
-class LearnQuestion(Question):
+class LearnRequest(RequestBody):
     """The settings of a run that learns again; defaults are the settings of the current annotation."""
 
     examples: Literal["labels", "clips and labels"] | None = None
@@ -68,7 +68,7 @@ def learning_facts(archive: Archive, _request: Request) -> Row:
     store = archive.store()
     if not archive.read_only:
         jobs_of(archive).prepare()
-    stages = learning_stages(store, LearnQuestion())
+    stages = learning_stages(store, LearnRequest())
     examples = stages["learn_templates"]["params"]["examples"]
     file = _file(archive)
     return {
@@ -77,11 +77,11 @@ def learning_facts(archive: Archive, _request: Request) -> Row:
         "method": stages["annotate"]["params"].get("method", "thesis"),
         "where": stages["annotate"]["params"].get("where", ""),
         "last": _last(archive),
-        **({"command": command_line("kinedex", *run_words(archive, file))} if file.is_file() else {}),
+        **({"command": command_line("kinedex", *run_command(archive, file))} if file.is_file() else {}),
     }
 
 
-def learning_stages(store: Store, asked: LearnQuestion) -> Row:
+def learning_stages(store: Store, asked: LearnRequest) -> Row:
     """Return the stages of the pipeline that learns again, as a pipeline file has them.
 
     Parameters
@@ -156,7 +156,7 @@ def _write(path: Path, text: str) -> None:
         replace_file(path, lambda unfinished: unfinished.write_text(text, encoding="utf-8"))
 
 
-def learn(archive: Archive, asked: LearnQuestion, _request: Request) -> Row:
+def learn(archive: Archive, asked: LearnRequest, _request: Request) -> Row:
     """Start a job that learns from labels and annotates again, and return the job as a JSON object."""
     store = archive.store()
     if any(job.title == TITLE and job.state in ("waiting", "running") for job in jobs_of(archive).every()):
@@ -179,7 +179,7 @@ def learn(archive: Archive, asked: LearnQuestion, _request: Request) -> Row:
             _write(_record_file(archive), json.dumps(record))
         jobs_of(archive).prepare()  # somebody who has learned once is likely to learn again
 
-    words = run_words(archive, _file(archive))
+    words = run_command(archive, _file(archive))
     weights = tuple(_WEIGHTS[name] for name in stages)
     return jobs_of(archive).add(Job(TITLE, words, len(stages), note, weights=weights, learns=True)).shown()
 
@@ -242,9 +242,11 @@ def changes(archive: Archive, _request: Request) -> Row:
     except StoreError as fault:
         raise KinedexError(f"what was learned last cannot be compared any more: {fault}") from None
     old = _segments(sides[0], last["stage"]) if last["stage"] is not None else []
-    found = [one for one in differences(old, _segments(sides[1], f"{PIPELINE}/annotate")) if one.change != "same"]
+    found = [
+        one for one in segment_differences(old, _segments(sides[1], f"{PIPELINE}/annotate")) if one.change != "same"
+    ]
     ids = archive.store().take_ids
-    rows = [_row(one, ids) for one in found[:MOST_CHANGES]]
+    rows = [_row(one, ids) for one in found[:MAX_CHANGES]]
     return {
         "last": last,
         "counts": dict(Counter(one.change for one in found)),
@@ -255,7 +257,7 @@ def changes(archive: Archive, _request: Request) -> Row:
     }
 
 
-def _row(one: Difference, ids: dict[str, int]) -> Row:
+def _row(one: SegmentDifference, ids: dict[str, int]) -> Row:
     def place(segment: ManualSegment) -> Row:
         return {"class": segment.label, "start": int(segment.start), "stop": int(segment.stop)}
 
@@ -265,11 +267,11 @@ def _row(one: Difference, ids: dict[str, int]) -> Row:
 
 
 def _segments(store: Store, stage: str) -> list[ManualSegment]:
-    rows = store.result("annotations", run=store.manifest.stages[annotate_stage(store, stage)].run)
+    rows = store.result("annotations", run=store.manifest.stages[annotation_stage(store, stage)].run)
     return list(map(segment_of, rows.to_pylist()))
 
 
-def undo(archive: Archive, _asked: NoQuestion, _request: Request) -> Row:
+def undo(archive: Archive, _asked: NoRequest, _request: Request) -> Row:
     """Start a job that restores the annotations from before the last run, and return it as a JSON object."""
     last = _last(archive)
     if last is None or last["undone"]:
@@ -285,7 +287,7 @@ def undo(archive: Archive, _asked: NoQuestion, _request: Request) -> Row:
 
 routes = [
     get("/api/learn", learning_facts),
-    post("/api/learn", learn, LearnQuestion, writes=True),
+    post("/api/learn", learn, LearnRequest, writes=True),
     get("/api/learn/changes", changes),
-    post("/api/learn/undo", undo, NoQuestion, writes=True),
+    post("/api/learn/undo", undo, NoRequest, writes=True),
 ]

@@ -13,12 +13,12 @@ from multiprocessing.connection import Connection
 from pathlib import Path
 from weakref import WeakKeyDictionary
 
-from kinedex.explorer.archive import Archive
+from kinedex.explorer.open_archive import Archive
 from kinedex.ops.cache import Cache
 from kinedex.ops.errors import KinedexError
 from kinedex.ops.maps.layout import PURPOSE
 from kinedex.ops.packages import MissingPackageError, extra_package
-from kinedex.pipelines.maps.archive_map import ArchiveMap, Unit, archive_map
+from kinedex.pipelines.inspection.archive_map import ArchiveMap, Unit, archive_map
 from kinedex.storage.store.store import Store, open_store
 
 KEPT = 4

@@ -25,15 +25,22 @@ from starlette.requests import Request
 from starlette.responses import Response, StreamingResponse
 from starlette.routing import Route
 
-from kinedex.explorer.addresses import LINES, fault_line, post
-from kinedex.explorer.answers import Json, python_lines, same_query
-from kinedex.explorer.archive import Archive
+from kinedex.explorer.answers import Json, equivalent_query, python_lines
+from kinedex.explorer.endpoints import LINES, error_line, post
 from kinedex.explorer.map_processes import maps_of, require_extra
-from kinedex.explorer.selections import SQL_SECONDS, Selection, columns_with_nan, condition_of, expression, own_words
+from kinedex.explorer.open_archive import Archive
+from kinedex.explorer.selections import (
+    SQL_SECONDS,
+    Selection,
+    columns_with_nan,
+    condition_of,
+    expression,
+    quoting_condition,
+)
 from kinedex.explorer.store import NUMERIC
 from kinedex.ops.errors import ParameterError
-from kinedex.pipelines.maps.archive_map import ArchiveMap, Cluster, Unit, trait_words
-from kinedex.storage.duck import sql_type
+from kinedex.pipelines.inspection.archive_map import ArchiveMap, Cluster, Unit, trait_words
+from kinedex.storage.duckdb_sql import sql_type
 from kinedex.storage.store.store import Store
 
 NO_VALUE, NO_FIT = -1, -2
@@ -61,13 +68,13 @@ async def _lines(request: Request, archive: Archive, store: Store, unit: Unit) -
             else:
                 yield json.dumps({"done": found[0], "total": found[1]}).encode() + b"\n"
     except Exception as fault:  # the status of the response is sent already
-        yield await fault_line(request, fault)
+        yield await error_line(request, fault)
 
 
 def _described(archive: Archive, store: Store, unit: Unit, found: ArchiveMap) -> dict[str, Any]:
     """Return a map as a JSON object for pages."""
     takes, owner = np.unique(found.take_ids, return_inverse=True)
-    places = np.round(found.places.astype(np.float64), 4)
+    places = np.round(found.positions.astype(np.float64), 4)
     line = "store.map()" if unit == "takes" else 'store.map("windows")'
     return {
         "unit": unit,
@@ -116,14 +123,14 @@ def cluster_title(one: Cluster) -> str:
     return " and ".join(str(value) for value, _ in shown)
 
 
-class MapTakesQuestion(Selection):
+class MapTakesRequest(Selection):
     """A request for the values of a column of the takes that fit filters."""
 
     column: str
 
 
-@own_words
-def map_takes(archive: Archive, asked: MapTakesQuestion, _request: Request) -> dict[str, Any]:
+@quoting_condition
+def map_takes(archive: Archive, asked: MapTakesRequest, _request: Request) -> dict[str, Any]:
     """Return the values of a column for all takes, by their ids, and which of these fit."""
     store = archive.store()
     known = store.take_rows.column_names
@@ -136,7 +143,7 @@ def map_takes(archive: Archive, asked: MapTakesQuestion, _request: Request) -> d
     takes = np.sort(store.take_rows.column("take_id").to_numpy())
     fits = np.isin(takes, fitting.column("take_id").to_numpy())
     found = every.column("value").to_pylist()
-    answer = {"column": asked.column, "takes": int(fits.sum()), **same_query(archive, text)}
+    answer = {"column": asked.column, "takes": int(fits.sum()), **equivalent_query(archive, text)}
     field = store.take_rows.schema.field(asked.column) if asked.column in known else None
     if field is not None and sql_type(field.type) in NUMERIC:
         return answer | {"numbers": found, "fits": fits.astype(int).tolist()}
@@ -148,4 +155,4 @@ def map_takes(archive: Archive, asked: MapTakesQuestion, _request: Request) -> d
     return answer | {"values": values, "codes": codes.tolist()}
 
 
-routes = [Route("/api/map", stream_map, methods=["GET"]), post("/api/map/takes", map_takes, MapTakesQuestion)]
+routes = [Route("/api/map", stream_map, methods=["GET"]), post("/api/map/takes", map_takes, MapTakesRequest)]

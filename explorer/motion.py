@@ -31,14 +31,14 @@ from pydantic import Field
 from starlette.requests import Request
 from starlette.responses import Response, StreamingResponse
 
-from kinedex.explorer.addresses import Question, get, post, take_of
-from kinedex.explorer.archive import Archive
+from kinedex.explorer.endpoints import RequestBody, get, post, take_of
+from kinedex.explorer.open_archive import Archive
 from kinedex.ops.arrays import F32
 from kinedex.ops.body.facing_direction import Placement, facing_yaw, start_at_origin
 from kinedex.ops.cache import Cache
+from kinedex.ops.cancellation import check_cancelled
 from kinedex.ops.errors import KinedexError, ParameterError
 from kinedex.ops.intervals import Interval
-from kinedex.ops.withdrawal import check_withdrawn
 from kinedex.storage.snapshot.frames import read_intervals
 from kinedex.storage.snapshot.parts import joint_positions
 from kinedex.storage.store.store import Store
@@ -60,7 +60,7 @@ WIDEST_M = 65.0
 FIRST_FRAMES = 150
 """Stored frames of the first block, which is short so that the first pose is shown soon."""
 
-MOST_FIGURES = 500
+MAX_FIGURES = 500
 """Maximum number of figures of one answer."""
 
 _LARGEST = 32_767
@@ -162,7 +162,7 @@ def _blocks(positions: F32, rate_hz: float, first: int, step: int) -> Iterator[b
         part = positions[start : start + length]
         while len(part) > 1 and _extent(part) > WIDEST_M:
             part = part[: len(part) // 2]
-        yield packed(part, rate_hz, first + start * step, step)
+        yield packed_positions(part, rate_hz, first + start * step, step)
         start, length = start + max(len(part), 1), min(4 * length, BLOCK_FRAMES)
 
 
@@ -206,7 +206,7 @@ def check_interval(store: Store, one: Interval, what: str) -> None:
         raise ParameterError(what, f"0 <= start < stop <= {total}, the frames of the take", (one.start, one.stop))
 
 
-def packed(positions: npt.NDArray[np.floating], rate_hz: float, first: int = 0, step: int = 1) -> bytes:
+def packed_positions(positions: npt.NDArray[np.floating], rate_hz: float, first: int = 0, step: int = 1) -> bytes:
     """Encode joint positions as one block of bytes, in the format that the module describes.
 
     Parameters
@@ -245,7 +245,7 @@ def figures(cache: PositionCache, store: Store, items: Sequence[Interval], frame
     store : Store
         The store of the takes.
     items : sequence of Interval
-        The intervals, at most `MOST_FIGURES`; the answer has their order.
+        The intervals, at most `MAX_FIGURES`; the answer has their order.
     frames : int
         Most stored frames of a figure, from 1 on: of a longer interval every second frame is sent, or every third, …
 
@@ -256,19 +256,19 @@ def figures(cache: PositionCache, store: Store, items: Sequence[Interval], frame
     ParameterError
         There are too many intervals, an interval is not within its take, or the number of frames is not positive.
     """
-    if len(items) > MOST_FIGURES:
-        raise ParameterError("items", f"at most {MOST_FIGURES} intervals", len(items))
+    if len(items) > MAX_FIGURES:
+        raise ParameterError("items", f"at most {MAX_FIGURES} intervals", len(items))
     if frames < 1:
         raise ParameterError("frames", "at least 1", frames)
     for number, one in enumerate(items, 1):
         check_interval(store, one, f"interval {number}")
     found: list[bytes] = [b""] * len(items)
     for place, positions in cache.intervals(store, items):
-        check_withdrawn()
+        check_cancelled()
         one = items[place]
         step = -(-one.frames // frames)
         turned = facing_viewer(positions[::step], store.feature_set.joints)
-        found[place] = packed(turned, store.rate_hz, one.start, step)
+        found[place] = packed_positions(turned, store.rate_hz, one.start, step)
     parts = [struct.pack("<I", len(found))]
     for block in found:
         parts += [struct.pack("<I", len(block)), block]
@@ -304,7 +304,7 @@ def facing_viewer(positions: npt.NDArray[np.floating], joints: Sequence[str]) ->
     return start_at_origin(places, Placement(float(x), float(z), float(yaws[row]) if len(whole) else 0.0))
 
 
-class FigureItem(Question):
+class FigureItem(RequestBody):
     """An interval of a take."""
 
     take_id: int
@@ -312,10 +312,10 @@ class FigureItem(Question):
     stop: int
 
 
-class FiguresQuestion(Question):
+class FiguresRequest(RequestBody):
     """Intervals to be shown as small figures."""
 
-    items: Annotated[list[FigureItem], Field(max_length=MOST_FIGURES)]
+    items: Annotated[list[FigureItem], Field(max_length=MAX_FIGURES)]
     frames: Annotated[int, Field(ge=1, le=2000)] = 120
 
 
@@ -353,10 +353,10 @@ def _motion(archive: Archive, request: Request) -> Response:
     return StreamingResponse(blocks, media_type="application/octet-stream")
 
 
-def _figures(archive: Archive, asked: FiguresQuestion, _request: Request) -> bytes:
+def _figures(archive: Archive, asked: FiguresRequest, _request: Request) -> bytes:
     store = archive.store()
     items = [Interval(name_of(store, one.take_id), one.start, one.stop) for one in asked.items]
     return figures(POSITIONS, store, items, asked.frames)
 
 
-routes = [get("/api/takes/{take:int}/motion", _motion), post("/api/figures", _figures, FiguresQuestion)]
+routes = [get("/api/takes/{take:int}/motion", _motion), post("/api/figures", _figures, FiguresRequest)]

@@ -14,9 +14,9 @@ from typing import Any
 from starlette.requests import Request
 
 from kinedex.catalog.quality_figures import FIGURES
-from kinedex.explorer.addresses import get
-from kinedex.explorer.answers import command_line, same_query
-from kinedex.explorer.archive import Archive
+from kinedex.explorer.answers import command_line, equivalent_query
+from kinedex.explorer.endpoints import get
+from kinedex.explorer.open_archive import Archive
 from kinedex.explorer.selections import SQL_SECONDS
 
 ROWS = 2000
@@ -49,7 +49,7 @@ def quality(archive: Archive, _request: Request) -> dict[str, Any]:
         "figures": [{**row, "advice": advice.get(row["figure"], "")} for row in figures],
         "warnings": warnings.table.to_pylist(),
         "invalid": store.answer(_INVALID, timeout=SQL_SECONDS).table.to_pylist()[0],
-        **same_query(archive, "SELECT * FROM suspect_takes"),
+        **equivalent_query(archive, "SELECT * FROM suspect_takes"),
     }
 
 
@@ -76,14 +76,14 @@ def duplicates(archive: Archive, _request: Request) -> dict[str, Any]:
         "rows": found.table.to_pylist(),
         "total": found.rows,
         "command": command_line("kinedex", "duplicates", archive.path),
-        "python": same_query(archive, _DUPLICATES)["python"],
+        "python": equivalent_query(archive, _DUPLICATES)["python"],
     }
 
 
 def excluded(archive: Archive, _request: Request) -> dict[str, Any]:
     """Return the source files that the last ingest excluded, with the reasons."""
     found = archive.store().answer(_EXCLUDED, timeout=SQL_SECONDS, max_rows=ROWS)
-    return {"rows": found.table.to_pylist(), "total": found.rows, **same_query(archive, _EXCLUDED)}
+    return {"rows": found.table.to_pylist(), "total": found.rows, **equivalent_query(archive, _EXCLUDED)}
 
 
 routes = [

@@ -27,19 +27,19 @@ from starlette.requests import Request
 from starlette.responses import FileResponse
 
 from kinedex.catalog.configs import config_names, config_path, load_yaml, shipped_configs
-from kinedex.explorer.addresses import Question, get, post
-from kinedex.explorer.answers import NotFoundError, command_line, same_query
-from kinedex.explorer.archive import Archive
-from kinedex.explorer.jobs import Job, jobs_of, run_words
+from kinedex.explorer.answers import NotFoundError, command_line, equivalent_query
+from kinedex.explorer.endpoints import RequestBody, get, post
+from kinedex.explorer.jobs import Job, jobs_of, run_command
+from kinedex.explorer.open_archive import Archive
 from kinedex.ops.errors import ConfigError, KinedexError
 from kinedex.pipelines.engine.config import Pipeline, load_pipeline
 from kinedex.pipelines.engine.plan import Step, make_plan
-from kinedex.storage.snapshot.shown_results import pipeline_runs
+from kinedex.storage.snapshot.visible_results import pipeline_runs
 from kinedex.storage.store.history import PipelineRun, list_runs, refuse_damaged_report
 
 Row = dict[str, Any]
 
-MOST_RUNS = 200
+MAX_RUNS = 200
 """Maximum number of runs of an answer, the newest first; `total` counts all."""
 
 METRICS = (
@@ -72,7 +72,7 @@ Text = Annotated[str, Field(max_length=10_000, pattern=r"^[^\x00]*$")]
 """A text that can be an argument of a command: limited in length, and without NUL."""
 
 
-class RunQuestion(Question):
+class RunRequest(RequestBody):
     """A request with a pipeline, and texts as of `--set` for its settings and parameters of its stages."""
 
     pipeline: Text
@@ -130,7 +130,7 @@ def _text(value: object) -> str | None:
     )
 
 
-def plan(archive: Archive, asked: RunQuestion, _request: Request) -> Row:
+def plan(archive: Archive, asked: RunRequest, _request: Request) -> Row:
     """Return the stages of a pipeline with the reasons for which they would run, or the setting that is invalid."""
     path = _file(archive, asked.pipeline)
     words = [word for one in _assignments(asked) for word in ("--set", one)]
@@ -149,20 +149,20 @@ def _file(archive: Archive, id: str) -> Path:
     return path
 
 
-def _assignments(asked: RunQuestion) -> list[str]:
+def _assignments(asked: RunRequest) -> list[str]:
     for name in asked.settings:
         if not re.fullmatch(r"[A-Za-z0-9_][A-Za-z0-9_.-]*", name):
             raise KinedexError(f"settings: {name!r} is no name of a setting; expected NAME or STAGE.PARAMETER")
     return [f"{name}={text}" for name, text in asked.settings.items()]
 
 
-def _load(path: Path, asked: RunQuestion) -> Pipeline:
+def _load(path: Path, asked: RunRequest) -> Pipeline:
     """Return the pipeline with the settings filled in and checked."""
     _assignments(asked)
     return load_pipeline(path, asked.settings)
 
 
-def _wrong_setting(path: Path, asked: RunQuestion, fault: KinedexError) -> str | None:
+def _wrong_setting(path: Path, asked: RunRequest, fault: KinedexError) -> str | None:
     """Return the setting that an error is about; None where it is about something else."""
     given = re.match(r"--set ([A-Za-z0-9_.-]+)", str(fault))
     if given is not None:
@@ -191,10 +191,10 @@ def _step_row(step: Step) -> Row:
     }
 
 
-def start(archive: Archive, asked: RunQuestion, _request: Request) -> Row:
+def start(archive: Archive, asked: RunRequest, _request: Request) -> Row:
     """Check the settings of a pipeline, start a job that runs it, and return the job as a JSON object."""
     pipeline = _load(_file(archive, asked.pipeline), asked)
-    words = run_words(archive, asked.pipeline, _assignments(asked))
+    words = run_command(archive, asked.pipeline, _assignments(asked))
     return jobs_of(archive).add(Job(f"Run {pipeline.name}", words, len(pipeline.stages))).shown()
 
 
@@ -205,7 +205,7 @@ def list_history(archive: Archive, _request: Request) -> Row:
     reports = report_names(archive)
     runs = list_runs(archive.path)[::-1]
     return {
-        "runs": [_run_row(run, shown.get(run.run), reports) for run in runs[:MOST_RUNS]],
+        "runs": [_run_row(run, shown.get(run.run), reports) for run in runs[:MAX_RUNS]],
         "total": len(runs),
         "command": command_line("kinedex", "history", "list", archive.path),
     }
@@ -227,7 +227,7 @@ def _run_row(run: PipelineRun, results: Row | None, reports: dict[tuple[str, str
 
 def compare(archive: Archive, _request: Request) -> Row:
     """Return precision, recall and F of every evaluation that the store holds, the best F (frames) first."""
-    return {"rows": archive.store().sql(METRICS).to_pylist(), **same_query(archive, METRICS)}
+    return {"rows": archive.store().sql(METRICS).to_pylist(), **equivalent_query(archive, METRICS)}
 
 
 def report_names(archive: Archive) -> dict[tuple[str, str], list[str]]:
@@ -277,6 +277,6 @@ routes = [
     get("/api/runs", list_history),
     get("/api/runs/metrics", compare),
     get("/api/reports/{name:path}", send_report),
-    post("/api/runs/plan", plan, RunQuestion),
-    post("/api/runs", start, RunQuestion, writes=True),
+    post("/api/runs/plan", plan, RunRequest),
+    post("/api/runs", start, RunRequest, writes=True),
 ]

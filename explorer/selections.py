@@ -22,11 +22,11 @@ import pyarrow as pa
 import pyarrow.compute as pc
 from starlette.requests import Request
 
-from kinedex.explorer.addresses import Question
-from kinedex.explorer.archive import Archive
+from kinedex.explorer.endpoints import RequestBody
+from kinedex.explorer.open_archive import Archive
 from kinedex.ops.errors import KinedexError, ParameterError, did_you_mean
-from kinedex.storage import duck
-from kinedex.storage.duck import identifier, quote
+from kinedex.storage import duckdb_sql
+from kinedex.storage.duckdb_sql import identifier, quote
 from kinedex.storage.store.store import Store
 
 SQL_SECONDS = 20.0
@@ -55,7 +55,7 @@ _SHOWN = 60
 """Maximum number of characters of a condition that a message quotes."""
 
 
-class Filter(Question):
+class Filter(RequestBody):
     """A condition on one column: its value is one of a list, lies in a range, contains a text, or is chosen."""
 
     column: str
@@ -66,7 +66,7 @@ class Filter(Question):
     chosen: str | None = None
 
 
-class Selection(Question):
+class Selection(RequestBody):
     """Takes that fit all of some filters and a condition of SQL."""
 
     where: str | None = None
@@ -195,7 +195,7 @@ Asked = TypeVar("Asked", bound=Selection)
 Answer = Callable[["Archive", Asked, "Request"], dict[str, Any]]
 
 
-def own_words(function: Answer[Asked]) -> Answer[Asked]:
+def quoting_condition(function: Answer[Asked]) -> Answer[Asked]:
     """Wrap the handler of an address, so that SQL errors quote the user's condition, not the statement around it.
 
     Parameters
@@ -237,12 +237,12 @@ def matching_takes(store: Store, where: str) -> npt.NDArray[np.int64]:
     except KinedexError as fault:
         if type(fault) is not KinedexError:  # it took too long, or the client has disconnected
             raise
-        raise KinedexError(in_own_words(str(fault), text)) from None
+        raise KinedexError(message_for_condition(str(fault), text)) from None
     ids: npt.NDArray[np.int64] = found.column("take_id").to_numpy()
     return ids
 
 
-def in_own_words(message: str, text: str) -> str:
+def message_for_condition(message: str, text: str) -> str:
     """Return DuckDB's error message with the position relative to the user's condition, not the statement.
 
     Parameters
@@ -255,7 +255,7 @@ def in_own_words(message: str, text: str) -> str:
     Examples
     --------
     >>> fault = 'syntax error at or near "ORDER"' + chr(10) * 2 + "LINE 2: class ORDER" + chr(10) + " " * 14 + "^"
-    >>> in_own_words(fault, "class ORDER")
+    >>> message_for_condition(fault, "class ORDER")
     'syntax error at or near "ORDER": character 7, “ORDER”'
     """
     lines = text.split("\n")
@@ -277,7 +277,7 @@ def in_own_words(message: str, text: str) -> str:
     return f"{what}: {place}, “{rest if len(rest) <= _SHOWN else rest[:_SHOWN] + '…'}”"
 
 
-def over_takes_alone(store: Store, asked: Selection) -> Selection:
+def takes_only_selection(store: Store, asked: Selection) -> Selection:
     """Return a selection whose condition, if it has one, names columns of takes alone.
 
     Searches and exports filter the rows of takes. A condition over other views (`suspect_takes`) becomes the choice of
@@ -299,8 +299,8 @@ def over_takes_alone(store: Store, asked: Selection) -> Selection:
     if not where:
         return asked
     try:
-        duck.rows_where(store.take_rows.slice(0, 0), "takes", where)
-    except duck.Error:
+        duckdb_sql.rows_where(store.take_rows.slice(0, 0), "takes", where)
+    except duckdb_sql.Error:
         found = matching_takes(store, where)
         if len(found) == 0:
             raise KinedexError(f"no take fits the condition {where}") from None

@@ -18,8 +18,8 @@ import uvicorn
 
 from kinedex.explorer.access import Rules, address, is_loopback, new_token
 from kinedex.explorer.application import make_application, require_page
-from kinedex.explorer.archive import Archive
 from kinedex.explorer.jobs import end_jobs
+from kinedex.explorer.open_archive import Archive
 from kinedex.ops.errors import KinedexError
 
 PORT = 8734
@@ -109,7 +109,7 @@ def serve(
     *,
     read_only: bool,
     browser: bool,
-    say: Callable[[str], None],
+    message: Callable[[str], None],
     warn: Callable[[str], None],
 ) -> None:
     """Serve a store until Ctrl-C.
@@ -126,7 +126,7 @@ def serve(
         Refuse everything that writes.
     browser : bool
         Open the page in a browser.
-    say, warn : callable
+    message, warn : callable
         Print a line, and a warning.
 
     Raises
@@ -144,11 +144,11 @@ def serve(
         rules = Rules.for_host(new_token(), host, listening.getsockname()[1])
         shown = address(rules, host)
         if not is_loopback(host):
-            warn(others_warning(host))
-        say(f"{store}: open {shown}")
+            warn(remote_access_warning(host))
+        message(f"{store}: open {shown}")
         if not read_only and not os.access(store, os.W_OK):
-            warn(no_writing_warning(store))
-        say("Ctrl-C stops the server")
+            warn(read_only_warning(store))
+        message("Ctrl-C stops the server")
         config = uvicorn.Config(
             make_application(archive, rules),
             loop="asyncio",
@@ -194,7 +194,7 @@ def _open(shown: str) -> None:
     Thread(target=webbrowser.open, args=[shown], daemon=True).start()
 
 
-def no_writing_warning(store: Path) -> str:
+def read_only_warning(store: Path) -> str:
     """Return the warning that the store cannot be written."""
     return (
         f"{store} cannot be written by this user or on this file system: labels, learning, pipelines and "
@@ -202,7 +202,7 @@ def no_writing_warning(store: Path) -> str:
     )
 
 
-def others_warning(host: str) -> str:
+def remote_access_warning(host: str) -> str:
     """Return the warning that other machines can connect."""
     return (
         f"the server listens on {host}: everybody who can reach this machine and knows the address with its "

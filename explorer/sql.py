@@ -18,20 +18,20 @@ from pydantic import Field
 from starlette.requests import Request
 
 from kinedex.catalog.sql.views import VIEWS
-from kinedex.explorer.addresses import Question, get, post
 from kinedex.explorer.answers import command_line, python_lines
-from kinedex.explorer.archive import Archive
-from kinedex.explorer.hits import MOST_HITS, shown_hits
+from kinedex.explorer.endpoints import RequestBody, get, post
+from kinedex.explorer.hits import MAX_HITS, shown_hits
+from kinedex.explorer.open_archive import Archive
 from kinedex.ops.cache import Cache
 from kinedex.ops.intervals import Hit, Interval
-from kinedex.storage.duck import sql_type
-from kinedex.storage.sql.queries import Answer
+from kinedex.storage.duckdb_sql import sql_type
+from kinedex.storage.sql.queries import QueryResult
 from kinedex.storage.store.store import Store
 
-MOST_ROWS = 100_000
+MAX_ROWS = 100_000
 """Maximum number of rows of a result that are kept for scrolling."""
 
-MOST_BYTES = 100_000_000
+MAX_BYTES = 100_000_000
 """Maximum number of bytes of all results that are kept."""
 
 SECONDS = 30.0
@@ -40,7 +40,7 @@ SECONDS = 30.0
 BLOCK = 1000
 
 
-class SqlQuestion(Question):
+class SqlRequest(RequestBody):
     """A request for rows of the result of a statement."""
 
     text: Annotated[str, Field(min_length=1, max_length=100_000)]
@@ -48,11 +48,11 @@ class SqlQuestion(Question):
     limit: Annotated[int, Field(ge=1, le=BLOCK)] = 200
 
 
-_RESULTS: Cache[tuple[str, int, str], tuple[Answer, float]] = Cache(MOST_BYTES, lambda one: one[0].table.nbytes)
+_RESULTS: Cache[tuple[str, int, str], tuple[QueryResult, float]] = Cache(MAX_BYTES, lambda one: one[0].table.nbytes)
 """The results of the latest statements with their run times; offset 0 runs a statement anew."""
 
 
-def run_sql(archive: Archive, asked: SqlQuestion, _request: Request) -> dict[str, Any]:
+def run_sql(archive: Archive, asked: SqlRequest, _request: Request) -> dict[str, Any]:
     """Run a SQL statement, or use its cached result, and return a block of rows."""
     store = archive.store()
     # the first block runs the statement anew: labels and journals may have changed in the same version
@@ -60,7 +60,7 @@ def run_sql(archive: Archive, asked: SqlQuestion, _request: Request) -> dict[str
     found = _RESULTS.get(key) if asked.offset else None
     if found is None:
         begin = time.perf_counter()
-        made = store.answer(asked.text, timeout=SECONDS, max_rows=MOST_ROWS)
+        made = store.answer(asked.text, timeout=SECONDS, max_rows=MAX_ROWS)
         found = _RESULTS.put(key, (made, time.perf_counter() - begin))
     answer, seconds = found
     table = answer.table
@@ -99,7 +99,7 @@ def hits_of(store: Store, table: pa.Table) -> list[dict[str, Any]] | None:
     names = store.take_names
     wanted = [name for name in ("take", "take_id", "start", "stop", "cost", "mirrored", "class") if name in columns]
     found: list[Hit] = []
-    for row in table.select(wanted).slice(0, 4 * MOST_HITS).to_pylist():
+    for row in table.select(wanted).slice(0, 4 * MAX_HITS).to_pylist():
         take_id = row.get("take_id", store.take_ids.get(row.get("take")))
         start, stop = row["start"], row["stop"]
         if take_id not in names or not isinstance(start, int) or not isinstance(stop, int):
@@ -110,7 +110,7 @@ def hits_of(store: Store, table: pa.Table) -> list[dict[str, Any]] | None:
         known = float(cost) if isinstance(cost, int | float) else None
         where = Interval(names[take_id], start, stop)
         found.append(Hit(where, str(row.get("class") or "sql"), known, row.get("mirrored") is True))
-    return shown_hits(store, found[:MOST_HITS])
+    return shown_hits(store, found[:MAX_HITS])
 
 
 def list_views(archive: Archive, _request: Request) -> dict[str, Any]:
@@ -130,4 +130,4 @@ def list_views(archive: Archive, _request: Request) -> dict[str, Any]:
     return {"views": views}
 
 
-routes = [post("/api/ask/sql", run_sql, SqlQuestion), get("/api/ask/views", list_views)]
+routes = [post("/api/ask/sql", run_sql, SqlRequest), get("/api/ask/views", list_views)]

@@ -12,11 +12,11 @@ from typing import Any
 import pyarrow as pa
 from starlette.requests import Request
 
-from kinedex.explorer.addresses import get
 from kinedex.explorer.answers import command_line, python_lines
-from kinedex.explorer.archive import Archive
+from kinedex.explorer.endpoints import get
+from kinedex.explorer.open_archive import Archive
 from kinedex.ops.body.joint_tree import JOINT_PARENTS
-from kinedex.storage.duck import sql_type
+from kinedex.storage.duckdb_sql import sql_type
 from kinedex.storage.store.store import Store
 
 

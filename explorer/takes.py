@@ -27,21 +27,21 @@ import pyarrow as pa
 from pydantic import Field
 from starlette.requests import Request
 
-from kinedex.explorer.addresses import Question, post
-from kinedex.explorer.answers import same_query
-from kinedex.explorer.archive import Archive
+from kinedex.explorer.answers import equivalent_query
+from kinedex.explorer.endpoints import RequestBody, post
+from kinedex.explorer.open_archive import Archive
 from kinedex.explorer.selections import (
     SQL_SECONDS,
     Selection,
     columns_with_nan,
     condition_of,
     expression,
-    own_words,
+    quoting_condition,
     values_of,
 )
 from kinedex.explorer.store import NUMERIC
 from kinedex.ops.cache import Cache
-from kinedex.storage.duck import quote, sql_type
+from kinedex.storage.duckdb_sql import quote, sql_type
 from kinedex.storage.store.store import Store
 
 BLOCK = 500
@@ -51,7 +51,7 @@ KEPT = 32
 """Maximum number of queries whose sorted takes are cached; each needs some bytes a take."""
 
 
-Found = tuple[npt.NDArray[np.int64], float]
+SortedTakes = tuple[npt.NDArray[np.int64], float]
 """The takes of a question: their rows in `Store.take_rows`, in the order asked for, and their duration in hours."""
 
 BINS = 24
@@ -60,14 +60,14 @@ BINS = 24
 Rows = Annotated[int, Field(ge=1, le=2000)]
 
 
-class Sort(Question):
+class Sort(RequestBody):
     """A column to sort by."""
 
     column: str
     descending: bool = False
 
 
-class TakesQuestion(Selection):
+class TakesRequest(Selection):
     """A request for a block of the takes that fit conditions, sorted."""
 
     sort: tuple[Sort, ...] = ()
@@ -76,11 +76,11 @@ class TakesQuestion(Selection):
     limit: Annotated[int, Field(ge=0, le=BLOCK)] = 100
 
 
-_FOUND: Cache[tuple[str, int, str], Found] = Cache(KEPT)
+_FOUND: Cache[tuple[str, int, str], SortedTakes] = Cache(KEPT)
 """The sorted takes of the latest queries, so that they are sorted once while a page scrolls."""
 
 
-def _sorted_takes(store: Store, condition: str, order: str) -> Found:
+def _sorted_takes(store: Store, condition: str, order: str) -> SortedTakes:
     """Return the takes that fit a condition, in an order; both are SQL."""
     text = f"SELECT take_id FROM takes{condition}{order}"
     key = (str(store.path), store.manifest.version, text)
@@ -104,8 +104,8 @@ def order_of(sort: Sequence[Sort], known: Sequence[str], nan: Collection[str] = 
     return f" ORDER BY {', '.join(parts)}"
 
 
-@own_words
-def find_takes(archive: Archive, asked: TakesQuestion, _request: Request) -> dict[str, Any]:
+@quoting_condition
+def find_takes(archive: Archive, asked: TakesRequest, _request: Request) -> dict[str, Any]:
     """Return up to `limit` takes, from `offset` on, of those that match filters, in the requested order."""
     store = archive.store()
     known = store.take_rows.column_names
@@ -126,11 +126,11 @@ def find_takes(archive: Archive, asked: TakesQuestion, _request: Request) -> dic
         "ids": block.column("take_id").to_pylist(),
         "names": block.column("name").to_pylist(),
         "warnings": [texts or [] for texts in block.column("warnings").to_pylist()],
-        **same_query(archive, f"SELECT {shown} FROM takes{condition}{order}"),
+        **equivalent_query(archive, f"SELECT {shown} FROM takes{condition}{order}"),
     }
 
 
-class TotalsQuestion(Selection):
+class TotalsRequest(Selection):
     """A request for totals of takes, grouped by one or two columns."""
 
     by: Annotated[tuple[str, ...], Field(min_length=1, max_length=2)]
@@ -138,7 +138,7 @@ class TotalsQuestion(Selection):
     limit: Rows = 200
 
 
-class ValuesQuestion(Selection):
+class ValuesRequest(Selection):
     """A request for at most `limit` values of `column`; if `contains` is given, only texts that contain it."""
 
     column: str
@@ -146,8 +146,8 @@ class ValuesQuestion(Selection):
     limit: Rows = 200
 
 
-@own_words
-def totals(archive: Archive, asked: TotalsQuestion, _request: Request) -> dict[str, Any]:
+@quoting_condition
+def totals(archive: Archive, asked: TotalsRequest, _request: Request) -> dict[str, Any]:
     """Return groups of takes with their hours."""
     store = archive.store()
     known = store.take_rows.column_names
@@ -172,12 +172,12 @@ def totals(archive: Archive, asked: TotalsQuestion, _request: Request) -> dict[s
         "total": rows[0][width + 2] if rows else 0,
         "takes": rows[0][width + 3] if rows else 0,
         "hours": rows[0][width + 4] if rows else 0,
-        **same_query(archive, text),
+        **equivalent_query(archive, text),
     }
 
 
-@own_words
-def values(archive: Archive, asked: ValuesQuestion, _request: Request) -> dict[str, Any]:
+@quoting_condition
+def values(archive: Archive, asked: ValuesRequest, _request: Request) -> dict[str, Any]:
     """Return the values of a column, and the histogram of numbers."""
     store = archive.store()
     known = store.take_rows.column_names
@@ -226,7 +226,7 @@ def _histogram(archive: Archive, inside: str) -> dict[str, Any]:
 
 
 routes = [
-    post("/api/takes", find_takes, TakesQuestion),
-    post("/api/totals", totals, TotalsQuestion),
-    post("/api/values", values, ValuesQuestion),
+    post("/api/takes", find_takes, TakesRequest),
+    post("/api/totals", totals, TotalsRequest),
+    post("/api/values", values, ValuesRequest),
 ]

@@ -19,21 +19,21 @@ from starlette.requests import Request
 
 from kinedex.catalog.configs import config_path
 from kinedex.catalog.template_files import write_yaml
-from kinedex.explorer.addresses import Question, post
 from kinedex.explorer.answers import command_line, python_lines
-from kinedex.explorer.archive import Archive
-from kinedex.explorer.templates import TemplateUse, named, template_use
+from kinedex.explorer.endpoints import RequestBody, post
+from kinedex.explorer.open_archive import Archive
+from kinedex.explorer.templates import TemplateUse, template_named, template_use
 from kinedex.ops.errors import ConfigError
 from kinedex.ops.templates.derived_templates import adjusted
 from kinedex.ops.templates.templates import Kind, NamedTemplate
-from kinedex.pipelines.templates.learning import SubclassTemplate
+from kinedex.pipelines.templates.template_learning import SubclassTemplate
 from kinedex.pipelines.templates.training import feature_weights
 from kinedex.storage.store.store import Store
 
 Factor = Annotated[float, Field(ge=0, le=1000)]
 
 
-class EditQuestion(Question):
+class EditRequest(RequestBody):
     """A request with a learned template, and the edits of it."""
 
     stage: str
@@ -67,7 +67,7 @@ class Edit:
     tau: float
 
 
-def edited_template(store: Store, one: SubclassTemplate, asked: EditQuestion) -> SubclassTemplate:
+def edited_template(store: Store, one: SubclassTemplate, asked: EditRequest) -> SubclassTemplate:
     """Return a template with an edit applied; it has no clips, like a template read from a file."""
     template = one.learned.template
     factors = feature_weights(asked.weights, store.feature_set)
@@ -77,14 +77,14 @@ def edited_template(store: Store, one: SubclassTemplate, asked: EditQuestion) ->
     return replace(one, learned=replace(one.learned, template=made), clips=())
 
 
-def is_edited(one: SubclassTemplate, asked: EditQuestion) -> bool:
+def is_edited(one: SubclassTemplate, asked: EditRequest) -> bool:
     """Return whether a question changes columns or weights of the template."""
     columns = len(one.learned.template)
     whole = (asked.first, columns if asked.stop is None else asked.stop) == (0, columns)
     return not whole or any(weight != 1 for weight in asked.weights.values())
 
 
-def same_edit(archive: Archive, use: TemplateUse, one: SubclassTemplate, edit: Edit) -> dict[str, str]:
+def equivalent_edit(archive: Archive, use: TemplateUse, one: SubclassTemplate, edit: Edit) -> dict[str, str]:
     """Return the commands that search by the template, and that annotate with it in its pipeline."""
     name, delta = one.subclass, f"{use.params.delta:g}"
     file = file_name(name)
@@ -137,10 +137,10 @@ def file_name(template: str) -> str:
     return f"{name or 'template'}.yaml"
 
 
-def write_file(archive: Archive, asked: EditQuestion, _request: Request) -> dict[str, Any]:
+def write_file(archive: Archive, asked: EditRequest, _request: Request) -> dict[str, Any]:
     """Return the edited template as the text of a file."""
     store = archive.store()
-    one = named(template_use(store, asked.stage, asked.kind), asked.template)
+    one = template_named(template_use(store, asked.stage, asked.kind), asked.template)
     made = edited_template(store, one, asked).learned.template
     parts = [f"{asked.kind} template of {asked.stage}"]
     if len(made) < len(one.learned.template):
@@ -155,4 +155,4 @@ def write_file(archive: Archive, asked: EditQuestion, _request: Request) -> dict
     return {"name": file_name(one.subclass), "text": text}
 
 
-routes = [post("/api/templates/file", write_file, EditQuestion)]
+routes = [post("/api/templates/file", write_file, EditRequest)]

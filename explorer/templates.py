@@ -30,22 +30,22 @@ from pydantic import ValidationError
 from starlette.requests import Request
 
 from kinedex.catalog.classes import OWN, Classes
-from kinedex.explorer.addresses import get
 from kinedex.explorer.answers import NotFoundError, command_line, python_lines
-from kinedex.explorer.archive import Archive
 from kinedex.explorer.curves import kind_of
+from kinedex.explorer.endpoints import get
+from kinedex.explorer.open_archive import Archive
 from kinedex.ops.errors import KinedexError, ParameterError
 from kinedex.ops.intervals import in_seconds, shown_seconds
 from kinedex.ops.templates.derived_templates import Contrast, consistency, contrast
 from kinedex.ops.templates.templates import Kind, Template, quantise
 from kinedex.ops.wording import counted
+from kinedex.pipelines.annotation.annotation_setup import annotation_classes
 from kinedex.pipelines.annotation.parameters import DEFAULT_TAU, AnnotationParameters
-from kinedex.pipelines.annotation.preparation import annotation_classes
 from kinedex.pipelines.templates.clip_checks import far_limit
 from kinedex.pipelines.templates.stored_clips import StoredClip, poses_of_columns, stored_clips, template_costs
 from kinedex.pipelines.templates.stored_templates import SubclassTemplate, template_of
-from kinedex.pipelines.templates.template_text import contrast_lines, heading
-from kinedex.storage.snapshot.shown_results import all_parts, pipeline_of, shown_parts
+from kinedex.pipelines.templates.template_text import contrast_lines, template_heading
+from kinedex.storage.snapshot.visible_results import all_parts, pipeline_of, shown_parts
 from kinedex.storage.store.store import Store
 
 Row = dict[str, Any]
@@ -116,7 +116,7 @@ def describe_template(archive: Archive, request: Request) -> Row:
     """Return a template with the clips behind it."""
     store = archive.store()
     use = use_of(store, request)
-    one = named(use, request.query_params.get("template", ""))
+    one = template_named(use, request.query_params.get("template", ""))
     template, label = one.learned.template, use.class_of(one.subclass)
     clips = clip_rows(store, use, one)
     shown = [row for row in clips if row["frames"] is not None]
@@ -142,13 +142,13 @@ def describe_template(archive: Archive, request: Request) -> Row:
         "rounds": one.learned.rounds,
         "remarks": list(one.remarks),
         "origin": one.origin,
-        "heading": heading(one, store.rate_hz).removeprefix(f"{one.subclass}, "),
+        "heading": template_heading(one, store.rate_hz).removeprefix(f"{one.subclass}, "),
         "command": command_line("kinedex", "template", "show", archive.path, one.subclass, *chosen),
         "python": python_lines(archive.path, line),
     }
 
 
-def named(use: TemplateUse, name: str) -> SubclassTemplate:
+def template_named(use: TemplateUse, name: str) -> SubclassTemplate:
     """Return the template of a name; a NotFoundError where the stage has none."""
     for one in use.templates:
         if one.subclass == name:
@@ -201,7 +201,7 @@ def describe_difference(archive: Archive, request: Request) -> Row:
     store, asked = archive.store(), request.query_params
     use = use_of(store, request)
     other_use = use_of(store, request, "other_stage") if asked.get("other_stage") else use
-    first, second = named(use, asked.get("template", "")), named(other_use, asked.get("other", ""))
+    first, second = template_named(use, asked.get("template", "")), template_named(other_use, asked.get("other", ""))
     one, other = first.learned.template, second.learned.template
     if one.values.shape[1] != other.values.shape[1]:
         raise ParameterError("templates", "templates of the same features", [first.subclass, second.subclass])

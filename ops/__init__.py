@@ -5,8 +5,8 @@ It reads and writes no files but the cache of compiled kernels, and has no SQL, 
 
 from pathlib import Path
 
-from kinedex.ops.compiled import forget_outdated
 from kinedex.ops.kernel_loader import load_kernels_alone
+from kinedex.ops.outdated_kernels import forget_outdated
 
 forget_outdated(Path(__file__).parent, __name__)
 load_kernels_alone(__name__)

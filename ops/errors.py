@@ -10,7 +10,7 @@ from pathlib import Path
 
 _LONG_WORD = re.compile(r"\S{600,}")
 _LONGEST_MESSAGE = 1500
-_LONGEST_NAME, _MOST_NAMES = 200, 10_000
+_LONGEST_NAME, _MAX_NAMES = 200, 10_000
 
 
 @dataclass(frozen=True)
@@ -166,7 +166,7 @@ def did_you_mean(name: str, known: Iterable[str], alike: float = 0.6) -> str:
     """
     names = sorted(set(known))
     # the search takes time proportional to the lengths of both names and to the number of names
-    short = [known for known in names[:_MOST_NAMES] if len(known) <= _LONGEST_NAME]
+    short = [known for known in names[:_MAX_NAMES] if len(known) <= _LONGEST_NAME]
     near = difflib.get_close_matches(name, short, n=1, cutoff=alike) if len(name) <= _LONGEST_NAME else []
     if near:
         return f"; did you mean '{near[0]}'?"

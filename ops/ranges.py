@@ -111,7 +111,7 @@ class TakeRanges:
         takes : int
             The number T of all takes.
         """
-        place = np.concatenate([np.empty(0, np.int64), *(places[found.takes] for places, found in parts)])
+        place = np.concatenate([np.empty(0, np.int64), *(positions[found.takes] for positions, found in parts)])
         ranges = np.concatenate([np.empty((0, 2), np.int64), *(found.ranges for _, found in parts)])
         order = np.argsort(place, kind="stable")
         return cls(np.searchsorted(place[order], np.arange(takes + 1)).astype(np.int64), ranges[order])

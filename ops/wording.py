@@ -11,7 +11,7 @@ import math
 import re
 from collections.abc import Sequence
 
-_MOST = 8
+_MAX_NAMES = 8
 
 _ODD = (
     "\x00-\x1f\x7f-\x9f"  # C0 and C1 control characters
@@ -23,12 +23,12 @@ _ESCAPED_IN_LINES = re.compile(f"(?!\n)[{_ODD}]")
 _SHORT = {"\n": "\\n", "\r": "\\r", "\t": "\\t"}
 
 
-def few(names: Sequence[str]) -> str:
+def name_list(names: Sequence[str]) -> str:
     """Join names with commas; of more than eight, only the first eight, and the number of the others."""
-    return ", ".join(names[:_MOST]) + (f" and {len(names) - _MOST} more" if len(names) > _MOST else "")
+    return ", ".join(names[:_MAX_NAMES]) + (f" and {len(names) - _MAX_NAMES} more" if len(names) > _MAX_NAMES else "")
 
 
-def digits(value: float | None) -> str:
+def two_digits(value: float | None) -> str:
     """Return a value with two digits, or a dash for None."""
     return "–" if value is None or math.isnan(value) else f"{value:.2f}"
 

@@ -24,13 +24,13 @@ NO_WORD = np.uint64(0xFFFF_FFFF_FFFF_FFFF)
 features, so none equals it, and `cut` keeps it. In Parquet it is null.
 """
 
-MOST_FEATURES = 63
+MAX_FEATURES = 63
 """Maximum number of features a word can have."""
 
 ALL_KNOWN = np.uint64(0xFFFF_FFFF_FFFF_FFFF)
 """The mask of known features of a take whose body has all joints."""
 
-LEAST_KNOWN = 0.6
+MIN_KNOWN = 0.6
 """Minimum fraction of known fixed entries for which a template or query is applied to a take."""
 
 
@@ -108,12 +108,12 @@ class TakeWords:
         """
         if self.known is None:
             return np.arange(len(self)), self
-        places = np.flatnonzero(self.known == np.uint64(mask))
-        if len(places) == len(self):
-            return places, replace(self, known=None)
-        offsets = np.concatenate(([0], np.cumsum(self.frames[places])))
-        words = np.concatenate([np.empty(0, np.uint64), *map(self.take, places.tolist())])
-        return places, TakeWords(self.take_ids[places], offsets, words)
+        positions = np.flatnonzero(self.known == np.uint64(mask))
+        if len(positions) == len(self):
+            return positions, replace(self, known=None)
+        offsets = np.concatenate(([0], np.cumsum(self.frames[positions])))
+        words = np.concatenate([np.empty(0, np.uint64), *map(self.take, positions.tolist())])
+        return positions, TakeWords(self.take_ids[positions], offsets, words)
 
 
 def cut(words: U64, first_feature: int, features: int) -> U64:
@@ -138,8 +138,8 @@ def cut(words: U64, first_feature: int, features: int) -> U64:
     ParameterError
         If the set is not within 63 bits.
     """
-    if not 1 <= first_feature <= MOST_FEATURES or not 1 <= features <= MOST_FEATURES + 1 - first_feature:
-        raise ParameterError("feature set", f"within bits 1 to {MOST_FEATURES}", (first_feature, features))
+    if not 1 <= first_feature <= MAX_FEATURES or not 1 <= features <= MAX_FEATURES + 1 - first_feature:
+        raise ParameterError("feature set", f"within bits 1 to {MAX_FEATURES}", (first_feature, features))
     mask = np.uint64((1 << features) - 1)
     return np.where(words == NO_WORD, NO_WORD, (words >> np.uint64(first_feature - 1)) & mask)
 
@@ -199,8 +199,8 @@ def known_share(masks: Iterable[int], known: int) -> float:
 
 
 def is_applied(masks: Iterable[int], known: int) -> bool:
-    """Return True if enough of the fixed entries are known, see `known_share` and `LEAST_KNOWN`."""
-    return known_share(masks, known) >= LEAST_KNOWN
+    """Return True if enough of the fixed entries are known, see `known_share` and `MIN_KNOWN`."""
+    return known_share(masks, known) >= MIN_KNOWN
 
 
 def known_bits(known: int, features: int) -> Bool:
@@ -246,8 +246,8 @@ def rearrange(words: U64, order: I64) -> U64:
     ParameterError
         If the order is no permutation.
     """
-    if len(order) > MOST_FEATURES or not np.array_equal(np.sort(order), np.arange(len(order))):
-        raise ParameterError("order", f"a permutation of at most {MOST_FEATURES} bits", order.tolist())
+    if len(order) > MAX_FEATURES or not np.array_equal(np.sort(order), np.arange(len(order))):
+        raise ParameterError("order", f"a permutation of at most {MAX_FEATURES} bits", order.tolist())
     moved = np.zeros_like(words)
     # Bits that move by the same distance are moved together, as there are only a few different distances.
     shifts = np.asarray(order) - np.arange(len(order))

@@ -20,7 +20,7 @@ from kinedex.ops.intervals import TakeSegment
 from kinedex.pipelines.engine.config import load_pipeline
 from kinedex.pipelines.engine.file_parameters import with_absolute_paths
 from kinedex.pipelines.templates.examples import interval_of
-from kinedex.reports.data import (
+from kinedex.reports.report_data import (
     Curve,
     Failure,
     FeatureNames,

@@ -11,15 +11,18 @@ from jinja2 import Environment
 from markupsafe import Markup
 
 from kinedex.ops.intervals import TakeSegment
-from kinedex.ops.wording import counted, digits
+from kinedex.ops.wording import counted, two_digits
 from kinedex.pipelines.evaluation.confusion import confusion
 from kinedex.pipelines.evaluation.folds import TestTake
 from kinedex.reports.archive_strip import archive_strip
 from kinedex.reports.cards import Card, card, readable, rules
-from kinedex.reports.data import ReportData, Score
+from kinedex.reports.embedded_motions import EmbeddedMotions, motions_json, script_json
 from kinedex.reports.method_figures import ConfusionTable, confusion_table
-from kinedex.reports.motions import Motions, motions_json, script_json
-from kinedex.reports.overview import (
+from kinedex.reports.page_environment import page_environment
+from kinedex.reports.palette import colour_rules, colour_slot
+from kinedex.reports.reliability import reliability_figure
+from kinedex.reports.report_data import ReportData, Score
+from kinedex.reports.report_overview import (
     BARS,
     LOOKS,
     SEGMENTS,
@@ -32,9 +35,6 @@ from kinedex.reports.overview import (
     surest,
     totals,
 )
-from kinedex.reports.page_environment import page_environment
-from kinedex.reports.palette import colour_rules, colour_slot
-from kinedex.reports.reliability import reliability_figure
 from kinedex.reports.take_selection import Choice, choose_takes, findings_of
 from kinedex.reports.timelines import HEIGHT, CurveFigure, Timeline, curve_figure, overlap, timeline, y_ticks
 
@@ -73,7 +73,7 @@ def annotation_page(
     *,
     takes: Sequence[str] | None = None,
     max_takes: int = 40,
-    motions: Motions | None = None,
+    motions: EmbeddedMotions | None = None,
     near: Mapping[Key, int] | None = None,
 ) -> str:
     """Render the page about an annotation.
@@ -120,7 +120,7 @@ def annotation_page(
             motions=motions,
             motions_json=motions_json(motions),
             near=near or {},
-            gaps=gaps(data),
+            gaps=class_gaps(data),
             light=light,
             dark=dark,
             **_findings(data, slots, motions, near or {}),
@@ -135,12 +135,12 @@ def class_slots(data: ReportData) -> dict[str, int]:
     labels = data.labels()
     occurring = {segment.label for segment in (*data.automatic, *data.manual)}
     ordered = sorted(labels, key=lambda label: label not in occurring)
-    places = {label: place for place, label in enumerate(ordered)}
-    return {label: colour_slot(places[label]) for label in labels}
+    positions = {label: place for place, label in enumerate(ordered)}
+    return {label: colour_slot(positions[label]) for label in labels}
 
 
 def _findings(
-    data: ReportData, slots: Mapping[str, int], motions: Motions | None, near: Mapping[Key, int]
+    data: ReportData, slots: Mapping[str, int], motions: EmbeddedMotions | None, near: Mapping[Key, int]
 ) -> dict[str, object]:
     """Return the variables of the page about annotations: its first screen, the tables and the list of segments."""
     confirmed = confirmations(data)
@@ -174,11 +174,11 @@ def _measures(data: ReportData, labels: Sequence[str]) -> dict[str, object]:
     return {
         "held": data.pooled(data.held_out),
         "by_class": data.scores_of(data.evaluation, "class"),
-        "by_take": lowest(data.scores_of(data.evaluation, "take"), ROWS),
+        "by_take": lowest_scores(data.scores_of(data.evaluation, "take"), ROWS),
         "takes_scored": len(data.scores_of(data.evaluation, "take")),
         "by_fold": data.scores_of(data.held_out, "fold"),
-        "unseen": unseen(data),
-        "weakest": weakest(data),
+        "unseen": folds_without_training(data),
+        "weakest": weakest_classes(data),
         "confusion": confusion_of(data, labels),
         "reliability": reliability_figure(data),
         "take_seconds": {take.name: take.seconds for take in data.takes},
@@ -267,14 +267,14 @@ def by_take(segments: Sequence[TakeSegment]) -> dict[str, list[TakeSegment]]:
     return grouped
 
 
-def weakest(data: ReportData) -> list[Score]:
+def weakest_classes(data: ReportData) -> list[Score]:
     """Return the classes with the lowest F (frames), lowest first; none where there are few or all are perfect."""
     scored = [score for score in data.scores_of(data.evaluation, "class") if score.f1 is not None]
     ranked = sorted(scored, key=lambda score: (score.f1, score.name))
     return [score for score in ranked[:3] if score.f1 != 1] if len(ranked) > 3 else []
 
 
-def lowest(scores: Sequence[Score], count: int) -> list[Score]:
+def lowest_scores(scores: Sequence[Score], count: int) -> list[Score]:
     """Return all scores if they are few, else those with the lowest F (frames), in their order."""
     if len(scores) <= count:
         return list(scores)
@@ -283,14 +283,14 @@ def lowest(scores: Sequence[Score], count: int) -> list[Score]:
     return [score for score in scores if score in kept]
 
 
-def unseen(data: ReportData) -> list[str]:
+def folds_without_training(data: ReportData) -> list[str]:
     """Return the folds from which no clip was learned, so that their templates are learned from all clips."""
     if not data.learned_from:
         return []
     return [score.name for score in data.scores_of(data.held_out, "fold") if score.name not in data.learned_from]
 
 
-def gaps(data: ReportData) -> Gaps:
+def class_gaps(data: ReportData) -> Gaps:
     """Find classes that occur in the ground truth without a template, and templates without ground truth."""
     searched = {template.label or template.subclass for template in data.templates} | set(data.subclasses)
     manual = {segment.label for segment in data.manual}
@@ -301,7 +301,7 @@ def gaps(data: ReportData) -> Gaps:
 
 def _environment() -> Environment:
     filters: dict[str, Callable[..., str]] = {
-        "measure": digits,
+        "measure": two_digits,
         "share": share,
         "span": span,
         "thousands": thousands,

@@ -10,8 +10,8 @@ import numpy as np
 from kinedex.ops.arrays import F64, I64
 from kinedex.ops.intervals import TakeSegment
 from kinedex.ops.wording import counted
-from kinedex.reports.data import TakeRow
 from kinedex.reports.plots import percent
+from kinedex.reports.report_data import TakeRow
 from kinedex.reports.take_selection import by_group
 
 BINS = 1000
@@ -20,7 +20,7 @@ BINS = 1000
 STEPS = 10
 """Number of heights of a column, which shows its share of labelled frames in tenths."""
 
-MOST_NAMED = 2000
+MAX_NAMED = 2000
 """Maximum number of takes whose names the page shows at the pointer; with more takes, it has no names."""
 
 
@@ -101,9 +101,9 @@ def archive_strip(takes: Sequence[TakeRow], segments: Sequence[TakeSegment], slo
         for group, names in groups.items()
         if len(groups) > 1
     ]
-    named = order if len(order) <= MOST_NAMED else []
-    places = [(name, percent(firsts[name], total), percent(rows[name].frames, total)) for name in named]
-    return ArchiveStrip(tuple(bands), tuple(_strip(shares, slots)), tuple(lanes), tuple(places))
+    named = order if len(order) <= MAX_NAMED else []
+    positions = [(name, percent(firsts[name], total), percent(rows[name].frames, total)) for name in named]
+    return ArchiveStrip(tuple(bands), tuple(_strip(shares, slots)), tuple(lanes), tuple(positions))
 
 
 def _shares(ranges: Sequence[tuple[int, int]], total: int) -> F64:

@@ -9,9 +9,9 @@ from dataclasses import dataclass
 from kinedex.ops.intervals import in_seconds
 from kinedex.ops.templates.templates import CONVERGED
 from kinedex.ops.wording import counted
-from kinedex.reports.data import FeatureNames, Template
 from kinedex.reports.pixels import quantised_image, soft_image, wildcard_share
 from kinedex.reports.plots import Axis, percent, time_axis
+from kinedex.reports.report_data import FeatureNames, Template
 
 
 @dataclass(frozen=True)
@@ -73,7 +73,7 @@ def readable(name: str) -> str:
 
 
 WIDTH, HEIGHT = 132, 36
-_LEAST, _MOST = 1e-3, 1.0  # the ends of the logarithmic scale; lower costs are drawn at the lower end
+_MIN_COST, _MAX_COST = 1e-3, 1.0  # the ends of the logarithmic scale; lower costs are drawn at the lower end
 _LEFT, _RIGHT, _TOP, _BOTTOM = 4, 128, 4, 32
 
 
@@ -105,5 +105,5 @@ def trace(costs: Sequence[float]) -> Trace | None:
 
 
 def _height(cost: float) -> float:
-    share = math.log(min(max(cost, _LEAST), _MOST) / _LEAST) / math.log(_MOST / _LEAST)
+    share = math.log(min(max(cost, _MIN_COST), _MAX_COST) / _MIN_COST) / math.log(_MAX_COST / _MIN_COST)
     return round(_BOTTOM - share * (_BOTTOM - _TOP), 1)

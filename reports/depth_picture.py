@@ -10,9 +10,9 @@ from PIL import Image, ImageDraw
 from kinedex.ops.arrays import U8
 from kinedex.pipelines.inspection.depth_frame import InspectedFrame
 from kinedex.reports.palette import CLASS_COLOURS
-from kinedex.storage.disk import whole_file
+from kinedex.storage.durable_files import whole_file
 
-LEAST_WIDTH = 640
+MIN_WIDTH = 640
 """Minimum width of a picture in pixels; smaller images are enlarged by a whole factor."""
 
 _TINT, _FAR_GREY = 0.65, 215
@@ -45,7 +45,7 @@ def frame_picture(found: InspectedFrame) -> U8:
 
 def write_frame_picture(found: InspectedFrame, path: Path) -> None:
     """Write the picture of a frame as PNG."""
-    times = max(1, -(-LEAST_WIDTH // found.camera.size[0]))
+    times = max(1, -(-MIN_WIDTH // found.camera.size[0]))
     picture = Image.fromarray(np.repeat(np.repeat(frame_picture(found), times, axis=0), times, axis=1))
     draw = ImageDraw.Draw(picture)
 

@@ -11,26 +11,26 @@ from kinedex.ops.intervals import TakeSegment
 from kinedex.ops.templates.nearest_clip import nearest_clips
 from kinedex.ops.words import U64
 from kinedex.pipelines.engine.display import Progress, no_progress
+from kinedex.pipelines.evaluation.comparison_results import SplitResult, Study, take_title
 from kinedex.pipelines.evaluation.folds import TestTake
-from kinedex.pipelines.evaluation.study import SplitResult, Study, take_title
-from kinedex.pipelines.templates.learning import TrainingClips
 from kinedex.pipelines.templates.stored_clips import Key, NearestExample, clip_intervals, nearest_examples, words_of
-from kinedex.reports.data import Template
-from kinedex.reports.motions import MOST_BYTES, Motions
+from kinedex.pipelines.templates.template_learning import TrainingClips
+from kinedex.reports.embedded_motions import MAX_BYTES, EmbeddedMotions
+from kinedex.reports.report_data import Template
 from kinedex.storage.store.store import Store
 
-MOST_PIECES = 500
+MAX_PIECES = 500
 """Maximum number of segments that are embedded as motions of their own, because their whole takes are not embedded."""
 
 
 def with_hits(
     store: Store,
-    motions: Motions,
+    motions: EmbeddedMotions,
     hits: Sequence[TakeSegment],
     others: Sequence[TakeSegment],
     templates: Sequence[Template],
     progress: Progress = no_progress,
-) -> tuple[Motions, dict[Key, int]]:
+) -> tuple[EmbeddedMotions, dict[Key, int]]:
     """Add the motions of hits to those of a page, and the nearest examples of all segments that it can play.
 
     Parameters
@@ -42,7 +42,7 @@ def with_hits(
     hits : sequence of TakeSegment
         Segments that the page must be able to play.
     others : sequence of TakeSegment
-        Further segments of the page; the motions of as many as fit are added, of the first `MOST_PIECES` at most.
+        Further segments of the page; the motions of as many as fit are added, of the first `MAX_PIECES` at most.
     templates : sequence of Template
         Learned templates, with the names of their clips.
     progress : callable
@@ -56,8 +56,8 @@ def with_hits(
         The place of each nearest example in `motions.near`.
     """
     found = motions.with_pieces(store, ((hit.take, hit.start, hit.stop) for hit in hits))
-    further = others[:MOST_PIECES]
-    found = found.with_pieces(store, ((one.take, one.start, one.stop) for one in further), most=MOST_BYTES)
+    further = others[:MAX_PIECES]
+    found = found.with_pieces(store, ((one.take, one.start, one.stop) for one in further), most=MAX_BYTES)
     played = {hit.key: hit.subclass for hit in (*hits, *others) if found.has(hit.take, hit.start, hit.stop)}
     near = nearest_examples(store, played, templates, progress)
     found = found.with_near(store, [(one.take, one.start, one.stop, one.frames) for one in near.values()])
@@ -65,8 +65,8 @@ def with_hits(
 
 
 def with_study(
-    store: Store, study: Study, motions: Motions, progress: Progress = no_progress
-) -> tuple[Motions, dict[Key, int]]:
+    store: Store, study: Study, motions: EmbeddedMotions, progress: Progress = no_progress
+) -> tuple[EmbeddedMotions, dict[Key, int]]:
     """Add the nearest training example of every segment, automatic or manual, to the motions of a page.
 
     Parameters
@@ -124,13 +124,13 @@ def _of_take(
             intervals[one.label][one.start, one.stop] = None
     found = {}
     for label, own in intervals.items():
-        places = [(start, stop) for start, stop in own if start < stop]
-        if clips.get(label) and places:
+        positions = [(start, stop) for start, stop in own if start < stop]
+        if clips.get(label) and positions:
             words = words_of(store, sorted({name for name, _, _ in clips[label]}))
             parts = [words[name][start:stop] for name, start, stop in clips[label]]
             features = len(store.feature_set.features)
-            nearest = nearest_clips(parts, [whole[start:stop] for start, stop in places], features)
-            for (start, stop), one_near in zip(places, nearest, strict=True):
+            nearest = nearest_clips(parts, [whole[start:stop] for start, stop in positions], features)
+            for (start, stop), one_near in zip(positions, nearest, strict=True):
                 example = NearestExample(*clips[label][one_near.clip], one_near.cost, one_near.frames)
                 found[title, label, start, stop] = example
     return found

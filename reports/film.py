@@ -18,13 +18,13 @@ from kinedex.pipelines.inspection.stick_figures import LEFT, MIDDLE, RIGHT
 from kinedex.reports.stick_figures import FAINT, GROUND, TEXT, Pen
 from kinedex.storage.formats.motion.joint_motion import JointMotion
 
-MOST_GIF_FRAMES = 1500
+MAX_GIF_FRAMES = 1500
 """Frames of a GIF, a minute at its rate; the library holds all of them in memory."""
 
 _VIEWS = (("front", 0, 2, 1.0), ("side", 2, 0, -1.0))  # axes to the right and in depth, sign of the near side
 _WIDE, _HIGH, _HEAD, _FOOT = 320, 400, 44, 40  # pixels of a view, and of what lies above and below the figure
 _FINE = 2  # frames are drawn this many times larger and then reduced, so that lines are smooth
-_LEAST_HEIGHT_M, _TICK_M = 2.0, 0.5
+_MIN_HEIGHT_M, _TICK_M = 2.0, 0.5
 _GIF_HZ, _FASTEST_HZ, _USUAL_HZ = 25.0, 60.0, 30.0
 _STEADY_S = 1.0  # seconds over which the position of the view is averaged
 _SHADES = 20  # shades of each colour in the palette of a GIF
@@ -43,12 +43,12 @@ def write_gif(path: Path, motion: JointMotion) -> None:
     Raises
     ------
     KinedexError
-        No joint is seen in any frame, or the motion is longer than a GIF of `MOST_GIF_FRAMES` frames.
+        No joint is seen in any frame, or the motion is longer than a GIF of `MAX_GIF_FRAMES` frames.
     """
     hundredths = max(round(100 / min(motion.rate_hz, _GIF_HZ)), 1)
     film = _Film(motion, 100 / hundredths)
-    if len(film) > MOST_GIF_FRAMES:
-        seconds = MOST_GIF_FRAMES * hundredths / 100
+    if len(film) > MAX_GIF_FRAMES:
+        seconds = MAX_GIF_FRAMES * hundredths / 100
         raise KinedexError(
             f"'{motion.name}' has {len(film) * hundredths / 100:.0f} s, and a GIF at most {seconds:.0f} s; export a "
             "shorter range, or an mp4"
@@ -117,25 +117,25 @@ class _Film:
         return len(_VIEWS) * _WIDE, _HIGH
 
     def __len__(self) -> int:
-        return int((len(self.motion.places) - 1) / self.motion.rate_hz * self.rate_hz + 1e-6) + 1
+        return int((len(self.motion.positions) - 1) / self.motion.rate_hz * self.rate_hz + 1e-6) + 1
 
     @cached_property
-    def places(self) -> F64:
+    def positions(self) -> F64:
         """Return the joint positions (T, joints, 3) of the shown frames, turned so that the body first faces +Z."""
-        places = self.motion.places.astype(np.float64)
-        if not np.isfinite(places).all(axis=2).any():
-            raise KinedexError(f"'{self.motion.name}' has no joint that is seen in any of its {len(places)} frames")
+        positions = self.motion.positions.astype(np.float64)
+        if not np.isfinite(positions).all(axis=2).any():
+            raise KinedexError(f"'{self.motion.name}' has no joint that is seen in any of its {len(positions)} frames")
         shown = np.round(np.arange(len(self)) * (self.motion.rate_hz / self.rate_hz)).astype(np.int64)
         x, z = self._across
         turn = np.array([[x, 0.0, z], [0.0, 1.0, 0.0], [-z, 0.0, x]])
-        turned: F64 = places[np.minimum(shown, len(places) - 1)] @ turn.T
+        turned: F64 = positions[np.minimum(shown, len(positions) - 1)] @ turn.T
         return turned
 
     @property
     def _across(self) -> tuple[float, float]:
         """Return the level direction (x, z) from the right hip to the left in the first frame that has both."""
         if {"lhip", "rhip"} <= set(self.motion.joints):
-            left, right = (self.motion.places[:, self.motion.joints.index(name)] for name in ("lhip", "rhip"))
+            left, right = (self.motion.positions[:, self.motion.joints.index(name)] for name in ("lhip", "rhip"))
             ways = (left - right)[:, [0, 2]].astype(np.float64)
             length = np.linalg.norm(ways, axis=1)
             usable = np.flatnonzero(np.isfinite(length) & (length > 1e-3))
@@ -147,23 +147,23 @@ class _Film:
     @cached_property
     def floor(self) -> float:
         """Return the height below which the lowest joint hardly ever is."""
-        heights = self.places[:, :, 1]
+        heights = self.positions[:, :, 1]
         seen = np.isfinite(heights).any(axis=1)
         return float(np.percentile(np.nanmin(heights[seen], axis=1), 2))
 
     @cached_property
     def scale(self) -> float:
         """Return pixels per metre, such that the highest joint, and in any case a standing body, fits into a view."""
-        tall = max(float(np.nanmax(self.places[:, :, 1])) - self.floor, _LEAST_HEIGHT_M)
-        reach = self.places - self.centres[:, None]
+        tall = max(float(np.nanmax(self.positions[:, :, 1])) - self.floor, _MIN_HEIGHT_M)
+        reach = self.positions - self.centres[:, None]
         wide = 2.1 * float(np.nanmax(np.abs(reach[:, :, [0, 2]])))
         return min((_HIGH - _HEAD - _FOOT) / tall, _WIDE / wide)
 
     @cached_property
     def centres(self) -> F64:
         """Return the places (T, 3) that the views follow: the middle of the body, steadied over a second."""
-        seen: Bool = np.any(np.isfinite(self.places), axis=(1, 2))
-        middle = (np.nanmin(self.places[seen], axis=1) + np.nanmax(self.places[seen], axis=1)) / 2
+        seen: Bool = np.any(np.isfinite(self.positions), axis=(1, 2))
+        middle = (np.nanmin(self.positions[seen], axis=1) + np.nanmax(self.positions[seen], axis=1)) / 2
         frames = np.arange(len(seen))
         filled = np.stack([np.interp(frames, frames[seen], track) for track in middle.T], axis=1)
         half = int(_STEADY_S * self.rate_hz / 2)
@@ -181,11 +181,11 @@ class _Film:
             for joint, parent in JOINT_PARENTS.items()
             if parent in index and joint in index
         ]
-        for i, places in enumerate(self.places):
+        for i, positions in enumerate(self.positions):
             image = ground.copy()
             pen = Pen(image, _FINE)
             for view, (_, across, away, sign) in enumerate(_VIEWS):
-                self._draw(pen, view, places, self.centres[i], bones, across, away, sign)
+                self._draw(pen, view, positions, self.centres[i], bones, across, away, sign)
             pen.write(12, _HIGH - 22, f"{shown_seconds(i, self.rate_hz)} s", 13, TEXT)
             yield image.reduce(_FINE)
 
@@ -204,7 +204,7 @@ class _Film:
         return pen.image
 
     def _draw(
-        self, pen: Pen, view: int, places: F64, centre: F64,
+        self, pen: Pen, view: int, positions: F64, centre: F64,
         bones: list[tuple[int, int, str]], across: int, away: int, sign: float,
     ) -> None:  # fmt: skip
         """Draw a view: marks of the floor every half metre, and the bones, the nearest last."""
@@ -214,11 +214,13 @@ class _Film:
         for tick in range(first, int(np.floor((centre[across] + reach) / _TICK_M)) + 1):
             x = middle + (tick * _TICK_M - centre[across]) * self.scale
             pen.line(x, _HIGH - _FOOT, x, _HIGH - _FOOT + 5, GROUND)
-        x = middle + (places[:, across] - centre[across]) * self.scale
-        y = _HIGH - _FOOT - (places[:, 1] - self.floor) * self.scale
+        x = middle + (positions[:, across] - centre[across]) * self.scale
+        y = _HIGH - _FOOT - (positions[:, 1] - self.floor) * self.scale
         seen = np.isfinite(x) & np.isfinite(y)
         shown = [bone for bone in bones if seen[bone[0]] and seen[bone[1]]]
-        for a, b, colour in sorted(shown, key=lambda bone: sign * float(places[bone[0], away] + places[bone[1], away])):
+        for a, b, colour in sorted(
+            shown, key=lambda bone: sign * float(positions[bone[0], away] + positions[bone[1], away])
+        ):
             pen.line(x[a], y[a], x[b], y[b], colour, 4)
             for joint in (a, b):
                 pen.dot(x[joint], y[joint], 2.4, colour)

@@ -14,8 +14,8 @@ from kinedex.ops.evaluation.reliability import wilson
 from kinedex.ops.intervals import in_seconds
 from kinedex.ops.keyframes.training_task import HISTORY_COLUMNS, Individual, LearningRun
 from kinedex.ops.words import bits
-from kinedex.pipelines.keyframes.learning import Learner, Outcome, every_query, keyframe_queries
-from kinedex.pipelines.keyframes.stored_queries import sentence
+from kinedex.pipelines.keyframes.query_learning import Learner, Outcome, every_query, keyframe_queries
+from kinedex.pipelines.keyframes.stored_queries import query_sentence
 from kinedex.reports.page_environment import page_environment
 from kinedex.reports.plots import HistogramBar, histogram, line_path, share_ticks, time_axis
 
@@ -23,7 +23,7 @@ WIDTH, HEIGHT = 640, 200
 BINS = 10
 PANEL, ROW, NAMES = 330, 13, 170
 """Width of a matrix, height of a row, and width of the names of the rows, in SVG units."""
-LEAST_CELL = 3.0
+MIN_CELL = 3.0
 """Minimum width of a keyframe of a long template."""
 FAINT = 0.2
 """Features weaker than this share of the strongest one are omitted from a matrix, unless a query requires them."""
@@ -32,7 +32,7 @@ LINES = HISTORY_COLUMNS[:3]
 
 
 @dataclass(frozen=True)
-class Course:
+class Curve:
     """One curve of the plot over generations: its name, its path in SVG units, and its last value."""
 
     name: str
@@ -132,7 +132,7 @@ def keyframes_page(
         .get_template("keyframes.html.j2")
         .render(
             title=title,
-            courses=courses([run.history for run in every]),
+            courses=history_curves([run.history for run in every]),
             generations=generations,
             generation_ticks=[(WIDTH * part, f"{generations * part:.0f}") for part in (0, 0.25, 0.5, 0.75, 1)],
             stiffness_ticks=share_ticks(WIDTH, (0, 0.2, 0.4, 0.6, 0.8, 1)),
@@ -154,7 +154,7 @@ def keyframes_page(
     )
 
 
-def courses(histories: Sequence[F64]) -> list[Course]:
+def history_curves(histories: Sequence[F64]) -> list[Curve]:
     """Average the histories of runs over all runs and classes, and return them as curves (thesis, Figure 4.3 a).
 
     Parameters
@@ -176,7 +176,7 @@ def courses(histories: Sequence[F64]) -> list[Course]:
     for column, name in enumerate(LINES):
         step = WIDTH / max(longest - 1, 1)
         points = [(step * index, HEIGHT * (1 - value)) for index, value in enumerate(means[:, column].tolist())]
-        found.append(Course(name, line_path(points), float(means[-1, column])))
+        found.append(Curve(name, line_path(points), float(means[-1, column])))
     return found
 
 
@@ -235,7 +235,7 @@ def _query_cells(
 
 
 def _cell(column: int, y: int, width: float, on: bool, strength: float, query: int, tip: str) -> Cell:
-    wide = max(width, LEAST_CELL)
+    wide = max(width, MIN_CELL)
     return Cell(
         round(min(width * column, PANEL - wide), 2), ROW * y, round(wide, 2), on, round(strength, 2), query, tip
     )
@@ -246,7 +246,7 @@ def _card(outcome: Outcome, feature_set: FeatureSet, rate_hz: float) -> Card:
     every = round(found / outcome.precision) if outcome.precision else 0
     return Card(
         outcome,
-        tuple(sentence(query, feature_set) for query in keyframe_queries(outcome, feature_set)),
+        tuple(query_sentence(query, feature_set) for query in keyframe_queries(outcome, feature_set)),
         tuple((in_seconds(one.left, rate_hz), in_seconds(one.right, rate_hz)) for one in outcome.chosen),
         found,
         every - found,

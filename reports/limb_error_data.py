@@ -18,8 +18,8 @@ from kinedex.ops.inertial.rotations import conjugate, interpolate, multiply, rot
 from kinedex.ops.intervals import in_seconds
 from kinedex.pipelines.inertial.limb_motion import LimbMotion
 from kinedex.pipelines.inertial.worn_sensors import Clock, WornSensor, WornTake
-from kinedex.pipelines.recordings.runs import earlier_rows
-from kinedex.reports.motions import pack
+from kinedex.pipelines.tracking.recording_runs import earlier_rows
+from kinedex.reports.embedded_motions import pack
 from kinedex.storage.snapshot.row_groups import RowGroups
 from kinedex.storage.store.store import Store
 
@@ -281,7 +281,7 @@ def _run(row: Mapping[str, Any]) -> MarkedRun:
 LENGTH_M = 0.18
 """Length of an axis."""
 
-MOST_BYTES = 6_000_000
+MAX_BYTES = 6_000_000
 """The largest size of all axes of a page."""
 
 POINTS = 7

@@ -12,8 +12,9 @@ import numpy as np
 from kinedex.ops.arrays import F64
 from kinedex.ops.wording import counted
 from kinedex.pipelines.inertial.worn_sensors import WornTakes, stored_clocks
+from kinedex.reports.embedded_motions import EmbeddedMotions, embed, script_json
 from kinedex.reports.limb_error_data import (
-    MOST_BYTES,
+    MAX_BYTES,
     LimbErrors,
     MarkedRun,
     StageKeys,
@@ -36,7 +37,6 @@ from kinedex.reports.limb_error_figures import (
     error_top,
     mapping_curves,
 )
-from kinedex.reports.motions import Motions, embed, script_json
 from kinedex.reports.page_environment import page_environment
 from kinedex.reports.plots import Axis, time_axis
 from kinedex.storage.store.store import Store
@@ -155,7 +155,7 @@ def _triads(store: Store, keys: StageKeys, takes: Sequence[TakeErrors]) -> tuple
     worn = WornTakes(store, keys.limbs, keys.sensors)
     clocks = stored_clocks(store, keys.clocks)
     found: list[dict[str, Any]] = []
-    room, without = MOST_BYTES, 0
+    room, without = MAX_BYTES, 0
     for take in takes:
         packed = packed_triads(worn.take(take.take_id), clocks, take.calibrations, take.frames, store.rate_hz)
         if packed is None:
@@ -226,7 +226,7 @@ def _number(value: float | None) -> float:
     return math.nan if value is None else float(value)
 
 
-def _shown(take: TakeErrors, motions: Motions, rate_hz: float, top: float) -> ShownTake:
+def _shown(take: TakeErrors, motions: EmbeddedMotions, rate_hz: float, top: float) -> ShownTake:
     seconds = max(take.seconds, 1e-6)
     mounts = tuple(
         (row, drift_curve([(one["t"], one["degrees"]) for one in row["drift"] or ()], seconds))

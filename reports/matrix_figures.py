@@ -22,7 +22,7 @@ from kinedex.reports.plots import time_axis
 
 ENDINGS = (".svg", ".png")
 
-_ROW, _MOST_WIDTH, _LEAST_CELL, _MOST_CELL = 15, 620, 2, 12
+_ROW, _MAX_WIDTH, _MIN_CELL, _MAX_CELL = 15, 620, 2, 12
 _NAMES, _NOTES, _EDGE, _HEAD, _GAP, _FOOT = 168, 96, 16, 92, 18, 44
 _TEXT, _FAINT, _RULE, _FRAME = (34, 34, 34), (110, 110, 110), (200, 80, 10), (120, 120, 120)
 _FINE = 2  # PNGs are this many times larger than SVGs
@@ -89,7 +89,7 @@ def write_figure(figure: MatrixFigure, path: Path) -> None:
 def draw(figure: MatrixFigure, form: str) -> bytes:
     """Draw a figure as "svg" or "png"."""
     columns = [panel.colours.shape[1] for panel in figure.panels]
-    cell = min(max(_MOST_WIDTH / sum(columns), _LEAST_CELL), _MOST_CELL)
+    cell = min(max(_MAX_WIDTH / sum(columns), _MIN_CELL), _MAX_CELL)
     inner = cell * sum(columns) + _GAP * (len(columns) - 1)
     width = max(2 * _EDGE + _NAMES + inner + _NOTES, 2 * _EDGE + 7.2 * len(figure.note))
     height = _HEAD + _ROW * len(figure.rows) + _FOOT

@@ -11,10 +11,10 @@ import numpy as np
 from kinedex.ops.arrays import I64
 from kinedex.ops.evaluation.metrics import Counts
 from kinedex.ops.intervals import TakeSegment, in_seconds, shown_seconds
+from kinedex.pipelines.evaluation.comparison_results import Threshold
 from kinedex.pipelines.evaluation.confusion import Confusion
 from kinedex.pipelines.evaluation.folds import TestTake
 from kinedex.pipelines.evaluation.method_scores import Outcome
-from kinedex.pipelines.evaluation.study import Threshold
 from kinedex.reports.plots import Axis, HistogramBar, histogram, line_path, percent, time_axis
 
 WIDTH, HEIGHT = 320.0, 150.0
@@ -23,7 +23,7 @@ WIDTH, HEIGHT = 320.0, 150.0
 BINS, FURTHEST = 20, 1.0
 """Number of bars of the histogram of boundary errors, and the seconds at its ends."""
 
-ROOMS = (250, 300, 350, 420, 500, 600, 700, 800, 1000, 1300)
+STRIP_WIDTHS = (250, 300, 350, 420, 500, 600, 700, 800, 1000, 1300)
 """Widths of a strip in pixels from which on more blocks have room for the number of their class."""
 
 _DIGIT, _ROUND = 7.0, 6.0  # pixels of a digit, and of the space around a number
@@ -70,7 +70,7 @@ class Block:
     middle : float
         Place of the number in percent: the middle of the longest part that no later block covers.
     room : int or None
-        Width of a strip in pixels, one of `ROOMS`, from which on the number has room; None where it never has.
+        Width of a strip in pixels, one of `STRIP_WIDTHS`, from which on the number has room; None where it never has.
     wrong : bool
         True if the ground truth (for a manual segment: the first method) has no segment of the class on these frames.
     tip, called : str
@@ -165,8 +165,8 @@ def _plot(title: str, level: int, points: Sequence[Threshold]) -> Plot:
             texts.append(f"{name} from {known[0][1]:.2f} to {known[-1][1]:.2f}")
         elif known:
             texts.append(f"{name} {known[0][1]:.2f}")
-    places = {0, len(points) // 2, len(points) - 1}
-    ticks = tuple((across[i], f"{points[i].tau:g}") for i in sorted(places))
+    positions = {0, len(points) // 2, len(points) - 1}
+    ticks = tuple((across[i], f"{points[i].tau:g}") for i in sorted(positions))
     span = f"τ from {low:g} to {high:g}" if high > low else f"τ = {low:g}"
     return Plot(title, tuple(lines), ticks, f"{title}, {span}: {', '.join(texts)}")
 
@@ -219,7 +219,7 @@ def _strip(
                 width=percent(stop - start, test_take.frames),
                 number=numbers[label],
                 middle=percent((left + right) / 2, test_take.frames),
-                room=room_for(numbers[label], (right - left) / test_take.frames),
+                room=width_for_number(numbers[label], (right - left) / test_take.frames),
                 wrong=wrong,
                 tip=tip,
                 start=start,
@@ -243,13 +243,14 @@ def bare_part(block: tuple[int, int], later: Sequence[tuple[int, int]]) -> tuple
     return best
 
 
-def room_for(number: int, share: float) -> int | None:
-    """Return the smallest strip width of `ROOMS`, in pixels, at which a number fits into a fraction of the strip.
+def width_for_number(number: int, share: float) -> int | None:
+    """Return the smallest strip width of `STRIP_WIDTHS`, in pixels, at which a number fits into a fraction of the
+    strip.
 
     None if it does not fit at the largest of these widths.
     """
     wanted = _DIGIT * len(str(number)) + _ROUND
-    return next((width for width in ROOMS if width * share >= wanted), None)
+    return next((width for width in STRIP_WIDTHS if width * share >= wanted), None)
 
 
 def confusion_table(confusion: Confusion, numbers: Mapping[str, int]) -> ConfusionTable:

@@ -9,26 +9,33 @@ from dataclasses import dataclass
 from jinja2 import Environment
 
 from kinedex.ops.evaluation.detection import THRESHOLDS
-from kinedex.ops.wording import digits
+from kinedex.ops.wording import two_digits
 from kinedex.pipelines.engine.display import Progress
-from kinedex.pipelines.evaluation.differences import HEADER, VERDICTS, Comparison, remarks, settings, signed
-from kinedex.pipelines.evaluation.study import SplitResult, Study, boundary_summary, shown_parts, take_title
-from kinedex.pipelines.evaluation.tables import (
+from kinedex.pipelines.evaluation.comparison_results import (
+    SplitResult,
+    Study,
+    boundary_summary,
+    shown_parts,
+    take_title,
+)
+from kinedex.pipelines.evaluation.comparison_tables import (
     MEASURE_NAMES,
-    between,
-    described,
+    capitalised,
     headings,
+    interval_text,
+    method_cells,
     outcome_text,
     overlap_notes,
-    row,
-    sentence,
-    six,
+    six_measures,
+    split_description,
 )
+from kinedex.pipelines.evaluation.differences import HEADER, VERDICTS, Comparison, remarks, settings, signed_difference
 from kinedex.pipelines.templates.stored_clips import Key
+from kinedex.reports.embedded_motions import Embed, EmbeddedMotions, embed, motions_json
 from kinedex.reports.example_motions import with_study
 from kinedex.reports.method_figures import (
     HEIGHT,
-    ROOMS,
+    STRIP_WIDTHS,
     WIDTH,
     ConfusionTable,
     Strips,
@@ -39,13 +46,12 @@ from kinedex.reports.method_figures import (
     strips,
     sweeps,
 )
-from kinedex.reports.motions import Embed, Motions, embed, motions_json
 from kinedex.reports.page_environment import page_environment
 from kinedex.reports.palette import colour_rules, colour_slot
 from kinedex.reports.plots import HistogramBar
 from kinedex.storage.store.store import Store
 
-MOST_ROWS = 300
+MAX_ROWS = 300
 """Largest number of rows of a list of takes or segments; the page states how many more there are."""
 
 
@@ -61,7 +67,7 @@ class Section:
     bars: dict[str, list[HistogramBar]]
 
 
-def methods_page(study: Study, motions: Motions | None = None, near: Mapping[Key, int] | None = None) -> str:
+def methods_page(study: Study, motions: EmbeddedMotions | None = None, near: Mapping[Key, int] | None = None) -> str:
     """Render a comparison of methods.
 
     Parameters
@@ -93,11 +99,11 @@ def methods_page(study: Study, motions: Motions | None = None, near: Mapping[Key
             overlap_notes=overlap_notes(study),
             thresholds=THRESHOLDS,
             width=WIDTH,
-            rooms=ROOMS,
+            rooms=STRIP_WIDTHS,
             height=HEIGHT,
             error_ticks=error_ticks(),
             measure_names=MEASURE_NAMES,
-            most=MOST_ROWS,
+            most=MAX_ROWS,
             motions=motions,
             motions_json=motions_json(motions),
             light=light,
@@ -152,13 +158,13 @@ def _section(study: Study, result: SplitResult, labels: list[str], near: Mapping
 
 def _environment() -> Environment:
     filters: dict[str, Callable[..., object]] = {
-        "digits": digits,
-        "between": between,
-        "described": described,
-        "sentence": sentence,
-        "row": row,
+        "digits": two_digits,
+        "between": interval_text,
+        "described": split_description,
+        "sentence": capitalised,
+        "row": method_cells,
         "outcome_text": outcome_text,
-        "six": six,
+        "six": six_measures,
         "boundaries": boundary_summary,
         "sortable": lambda value: "" if value is None or math.isnan(value) else value,
     }
@@ -190,7 +196,9 @@ def study_page(store: Store, study: Study, embedded: Embed, stage: str, progress
 
 def comparison_page(comparisons: Sequence[Comparison]) -> str:
     """Return comparisons as one self-contained HTML page."""
-    environment = page_environment({"digits": digits, "signed": signed, "remarks": remarks, "settings": settings})
+    environment = page_environment(
+        {"digits": two_digits, "signed": signed_difference, "remarks": remarks, "settings": settings}
+    )
     return environment.get_template("compared.html.j2").render(
         comparisons=comparisons, verdicts=VERDICTS, header=HEADER
     )

@@ -17,7 +17,7 @@ from kinedex.ops.arrays import F32
 from kinedex.ops.body.joint_tree import JOINT_PARENTS
 from kinedex.ops.intervals import shown_seconds
 from kinedex.ops.search.gaps import UNBOUNDED
-from kinedex.reports.motions import pack, parents_of
+from kinedex.reports.embedded_motions import pack, parents_of
 
 _STYLE = """:root { color-scheme: light dark; --line: #8884; --left: #1f6fc4; --right: #c8402f; }
 body { margin: 0; font: 13px system-ui, sans-serif; color: #222; background: #fff; }
@@ -43,7 +43,7 @@ _CONTROLS = """<div id="player" hidden>
 
 
 @dataclass(frozen=True)
-class Shown:
+class ShownTake:
     """The data of a take that its HTML shows.
 
     label : the name. facts: (what, text) in order. joints: J names. positions: float array (T, J, 3) in metres, of the
@@ -58,7 +58,7 @@ class Shown:
     rate_hz: float
 
 
-def take_html(take: Shown) -> str:
+def take_html(take: ShownTake) -> str:
     """Return a take as HTML: its facts, and a player in an iframe, isolated from the styles and scripts of the page."""
     page = escape(player_page(take), quote=True)
     player = (
@@ -68,7 +68,7 @@ def take_html(take: Shown) -> str:
     return f"<div><b>{escape(take.label)}</b>{_pairs(take.facts)}{player}</div>"
 
 
-def player_page(take: Shown) -> str:
+def player_page(take: ShownTake) -> str:
     """Return a whole page that plays a take."""
     joints = [joint for joint in take.joints if joint in JOINT_PARENTS]
     columns = [take.joints.index(joint) for joint in joints]

@@ -66,5 +66,5 @@ class PageStage(Stage[Parameters]):
         page = self.page(context, params)
         path = context.report_file(self.file)
         size = write_page(page, path)
-        context.say(f"report: {path.resolve()} ({size / 1e3:.0f} kB)")
+        context.message(f"report: {path.resolve()} ({size / 1e3:.0f} kB)")
         return {"files": [path.relative_to(context.store_path).as_posix()], "bytes": size}

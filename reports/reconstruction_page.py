@@ -17,10 +17,10 @@ from kinedex.ops.arrays import F64
 from kinedex.ops.errors import KinedexError
 from kinedex.ops.wording import counted
 from kinedex.pipelines.reconstruction.reconstructed_takes import explained_votes
-from kinedex.pipelines.reconstruction.reconstruction_errors import truth_places
+from kinedex.pipelines.reconstruction.reconstruction_errors import true_positions
 from kinedex.pipelines.reconstruction.recording_tracks import REMARKS, make_scene
-from kinedex.pipelines.recordings.runs import earlier_rows
-from kinedex.reports.motions import PACKED_STEP, Motion, embed, pack, script_json
+from kinedex.pipelines.tracking.recording_runs import earlier_rows
+from kinedex.reports.embedded_motions import PACKED_STEP, EmbeddedMotion, embed, pack, script_json
 from kinedex.reports.page_environment import page_environment
 from kinedex.storage.formats.depth.recording import read_recording, recording_truth
 from kinedex.storage.store.store import Store
@@ -28,7 +28,7 @@ from kinedex.storage.store.store import Store
 BINS = 240
 """Number of columns of a strip of costs."""
 
-MOST_COST_M = 0.15
+MAX_COST_M = 0.15
 """The cost, in metres, at the top of a strip."""
 
 LENDERS = 8
@@ -74,7 +74,7 @@ class ReconstructedOnPage:
     lent : float
         Share of the frames with a pose of the database.
     bins : tuple of float
-        Costs of the poses in strips, as a fraction of `MOST_COST_M`.
+        Costs of the poses in strips, as a fraction of `MAX_COST_M`.
     lanes : dict of str to tuple of StripInterval
         Name of a lane → its intervals of frames.
     lenders : tuple of (str, int)
@@ -139,17 +139,17 @@ def reconstruction_page(store: Store, stage: str, evaluation: str | None, title:
         .get_template("reconstruction.html.j2")
         .render(
             title=title, takes=shown, total=len(rows), motions=motions, scripts=True, whole=whole, votes=VOTES,
-            motions_json=script_json({**asdict(motions), "clouds": clouds}), most_cm=100 * MOST_COST_M,
+            motions_json=script_json({**asdict(motions), "clouds": clouds}), most_cm=100 * MAX_COST_M,
         )
     )  # fmt: skip
 
 
 def _truths(
     store: Store, rows: Sequence[Mapping[str, Any]], errors: Sequence[Mapping[str, Any]], joints: tuple[str, ...]
-) -> dict[str, Motion]:
+) -> dict[str, EmbeddedMotion]:
     """Return the ground truth of each take as a motion, for takes whose truth still exists and has joints."""
     judged = {row["take"] for row in errors if row["scope"] == "take"}
-    found: dict[str, Motion] = {}
+    found: dict[str, EmbeddedMotion] = {}
     for row in (row for row in rows if row["take"] in judged and row["file"] and Path(row["file"]).is_file()):
         name = str(row["recording"])
         try:
@@ -157,7 +157,7 @@ def _truths(
             truth = recording_truth(file, name)
             if truth is None or file.entry(name).markers:
                 continue
-            known = truth_places(store, file, name, str(truth), store.rate_hz, joints)
+            known = true_positions(store, file, name, str(truth), store.rate_hz, joints)
         except KinedexError:
             continue  # it has changed since takes were compared with it
         positions = known.joints[:, :, : store.take_frames[row["take_id"]]]
@@ -168,7 +168,7 @@ def _truths(
 def _clouds(store: Store, rows: Sequence[Mapping[str, Any]]) -> list[dict[str, Any]]:
     """Return the packed points of the first takes that fit into the page."""
     found: list[dict[str, Any]] = []
-    room = MOST_BYTES
+    room = MAX_BYTES
     for row in rows:
         cloud = packed_points(row, store.take_frames[row["take_id"]], store.rate_hz)
         if cloud is not None:
@@ -204,7 +204,7 @@ def _shown(
     near: int,
 ) -> ReconstructedOnPage:
     take, total = str(row["take"]), store.take_frames[row["take_id"]]
-    costs = np.nan_to_num(_costs(frames)) / MOST_COST_M
+    costs = np.nan_to_num(_costs(frames)) / MAX_COST_M
     bins = tuple(min(1.0, float(part.mean())) for part in np.array_split(costs, min(BINS, len(costs))))
     lent = [one["hypothesis"] == "database" for one in frames]
     lanes = {VOTES: _intervals(lent, [_lender(one) for one in frames], row, total, store.rate_hz)}
@@ -248,7 +248,7 @@ def _intervals(
     return tuple(found)
 
 
-MOST_JUMPS = 30
+MAX_JUMPS = 30
 """Maximum number of jumps of a take in its table: of more, those that reduced the cost most."""
 
 MARGIN_S = 0.5
@@ -355,14 +355,14 @@ def _most_telling(jumps: Sequence[Jump]) -> Jumps:
     def gain(one: Jump) -> float:
         return float("inf") if one.followed_cost is None else one.followed_cost - one.cost
 
-    chosen = sorted(jumps, key=lambda one: (-gain(one), one.source_frame))[:MOST_JUMPS]
+    chosen = sorted(jumps, key=lambda one: (-gain(one), one.source_frame))[:MAX_JUMPS]
     return Jumps(tuple(sorted(chosen, key=lambda one: one.source_frame)), len(jumps))
 
 
 POINTS = 160
 """Number of points of a frame that are drawn."""
 
-MOST_BYTES = 6_000_000
+MAX_BYTES = 6_000_000
 """The largest size of all points of a page."""
 
 

@@ -8,9 +8,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from kinedex.ops.evaluation.reliability import Bucket, auroc, brier, reliability
+from kinedex.ops.evaluation.reliability import ConfidenceBin, auroc, brier, reliability
 from kinedex.ops.intervals import TakeSegment
-from kinedex.reports.data import ReportData
+from kinedex.reports.report_data import ReportData
 
 SIDE = 200.0
 """The width and the height of the diagram, in SVG units."""
@@ -34,7 +34,7 @@ class Bar:
         The point on the diagonal, at which the fraction of correct segments equals the mean confidence.
     """
 
-    bucket: Bucket
+    bucket: ConfidenceBin
     x: float
     y: float
     width: float
@@ -92,7 +92,7 @@ def _is_right(one: TakeSegment, manual: Iterable[tuple[int, int]]) -> bool:
     return bool(2 * covered.sum() > len(covered))
 
 
-def _bar(bucket: Bucket) -> Bar:
+def _bar(bucket: ConfidenceBin) -> Bar:
     low, high = bucket.interval
     height = SIDE * bucket.share
     says = SIDE * bucket.confidence

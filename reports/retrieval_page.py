@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from kinedex.pipelines.ranking.ranking_evaluation import EVERYWHERE, WRITTEN
+from kinedex.pipelines.templates.ranking_evaluation import EVERYWHERE, WRITTEN
 from kinedex.reports.page_environment import page_environment
 from kinedex.reports.plots import line_path, share_ticks
 
@@ -94,7 +94,7 @@ class Variant:
 
 
 @dataclass(frozen=True)
-class Course:
+class Curve:
     """The curve of one measure over the stiffness: its names, its path in SVG units, and its points."""
 
     name: str
@@ -145,7 +145,7 @@ def retrieval_page(
             diagrams=diagrams(trials, (EVERYWHERE, WRITTEN)),
             rigid=diagrams(trials, (WRITTEN, f"{RIGID:g}")) if any(row["stiffness"] == RIGID for row in trials) else [],
             variants=found,
-            courses=courses(found),
+            courses=stiffness_curves(found),
             stiffness_ticks=share_ticks(WIDE, (0, 0.2, 0.4, 0.6, 0.8, 1)),
             size=SIZE,
             wide=WIDE,
@@ -237,8 +237,8 @@ def _line(name: str, words: str, row: Row) -> Line:
     points = list(zip(row["recall"], row["precision"], strict=True))
     best = max(row["recall"], default=0.0)
     last = next((place for place, (recall, _) in enumerate(points) if recall == best), -1) if best else -1
-    places = [(SIZE * recall, SIZE * (1 - precision)) for recall, precision in points[: last + 1]]
-    return Line(name, words, line_path(places), places[-1] if places else None)
+    positions = [(SIZE * recall, SIZE * (1 - precision)) for recall, precision in points[: last + 1]]
+    return Line(name, words, line_path(positions), positions[-1] if positions else None)
 
 
 def variants(trials: Sequence[Row]) -> list[Variant]:
@@ -260,7 +260,7 @@ def variants(trials: Sequence[Row]) -> list[Variant]:
     return found
 
 
-def courses(found: Sequence[Variant]) -> list[Course]:
+def stiffness_curves(found: Sequence[Variant]) -> list[Curve]:
     """Lay out recall, mean average precision and the fraction of frames kept over the stiffness."""
     swept = sorted((one for one in found if one.stiffness is not None), key=lambda one: one.stiffness or 0.0)
     measures = (
@@ -276,5 +276,5 @@ def courses(found: Sequence[Variant]) -> list[Course]:
             if not math.isnan(value)
         )
         if dots:
-            drawn.append(Course(name, words, line_path((x, y) for x, y, _ in dots), dots))
+            drawn.append(Curve(name, words, line_path((x, y) for x, y, _ in dots), dots))
     return drawn

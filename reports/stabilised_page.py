@@ -13,13 +13,13 @@ from kinedex.catalog.kinematics import load_kinematic_chain
 from kinedex.ops.arrays import F64
 from kinedex.ops.body.kinematic_chain import ChainBody, forward
 from kinedex.ops.intervals import in_seconds
-from kinedex.ops.tracking.observations import LEAST_CONFIDENCE
+from kinedex.ops.tracking.observations import MIN_CONFIDENCE
 from kinedex.ops.wording import counted
-from kinedex.pipelines.recordings.runs import earlier_rows
-from kinedex.pipelines.tracking.recordings import StoredRecording, stored_recording
+from kinedex.pipelines.tracking.observed_recordings import StoredRecording, stored_recording
+from kinedex.pipelines.tracking.recording_runs import earlier_rows
 from kinedex.pipelines.tracking.tracked_takes import LIMBS, poses_of, stored_poses
-from kinedex.pipelines.tracking.work import ESTIMATE
-from kinedex.reports.motions import embed, pack, script_json
+from kinedex.pipelines.tracking.tracking_tasks import ESTIMATE
+from kinedex.reports.embedded_motions import embed, pack, script_json
 from kinedex.reports.page_environment import page_environment
 from kinedex.storage.store.store import Store
 
@@ -245,7 +245,7 @@ def _rays(store: Store, row: Mapping[str, Any], stage: str, frames: int) -> dict
     directions, confidence = rays.directions[at][:, :, limbs], rays.confidence[at][:, :, limbs]
     gaps = places[:, None] - rays.centres[None, :, None]
     ends = rays.centres[None, :, None] + np.einsum("tvpi,tvpi->tvp", gaps, directions)[..., None] * directions
-    ends = np.where((confidence >= LEAST_CONFIDENCE)[..., None], ends, np.nan)
+    ends = np.where((confidence >= MIN_CONFIDENCE)[..., None], ends, np.nan)
     packed = pack(str(row["take"]), ends.reshape(len(ends), -1, 3).transpose(1, 2, 0), store.rate_hz)
     joints = [chain.joints[int(points.joints[p])] for p in limbs]
     return {

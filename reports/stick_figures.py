@@ -16,10 +16,10 @@ from kinedex.ops.body.joint_tree import JOINT_PARENTS
 from kinedex.ops.errors import KinedexError
 from kinedex.ops.intervals import shown_seconds
 from kinedex.pipelines.inspection.stick_figures import LEFT, MIDDLE, RIGHT, Figure
-from kinedex.storage.disk import whole_file
+from kinedex.storage.durable_files import whole_file
 
 if TYPE_CHECKING:
-    from kinedex.pipelines.inspection.inspection import Inspection
+    from kinedex.pipelines.inspection.motion_file import Inspection
 
 
 PAPER, GROUND, TEXT, FAINT = "#ffffff", "#9a8f80", "#222222", "#777777"

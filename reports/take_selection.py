@@ -171,7 +171,7 @@ def median_take(f1: Mapping[str, float]) -> str | None:
     return ranked[(len(ranked) - 1) // 2] if ranked else None
 
 
-FEWEST, MOST = 2, 40
+MIN_GROUPS, MAX_GROUPS = 2, 40
 """Minimum and maximum number of groups for which takes are grouped."""
 
 NONE = "other"
@@ -195,7 +195,7 @@ def take_groups(takes: pl.DataFrame, columns: Sequence[str]) -> tuple[str, dict[
     Returns
     -------
     name : str
-        Name of the column, "folder", or empty if nothing divides the takes into `FEWEST` to `MOST` groups.
+        Name of the column, "folder", or empty if nothing divides the takes into `MIN_GROUPS` to `MAX_GROUPS` groups.
     groups : dict of str to str
         Name of a take → its group.
     """
@@ -227,4 +227,8 @@ def _values(values: Sequence[object]) -> set[object]:
 
 def _divides(values: Sequence[object]) -> bool:
     known = sum(value not in _EMPTY for value in values)
-    return FEWEST <= len(_values(values)) <= MOST and known >= _SHARE * len(values) and len(_values(values)) < known
+    return (
+        MIN_GROUPS <= len(_values(values)) <= MAX_GROUPS
+        and known >= _SHARE * len(values)
+        and len(_values(values)) < known
+    )

@@ -11,8 +11,8 @@ from kinedex.ops.annotation.segments import local_minima
 from kinedex.ops.arrays import F64, I64
 from kinedex.ops.intervals import TakeSegment, shown_seconds
 from kinedex.ops.wording import counted
-from kinedex.reports.data import Curve, Score, TakeRow
 from kinedex.reports.plots import Axis, percent, time_axis
+from kinedex.reports.report_data import Curve, Score, TakeRow
 
 
 @dataclass(frozen=True)
@@ -116,7 +116,7 @@ def bar(
         left=percent(segment.start, take.frames),
         width=percent(segment.stop - segment.start, take.frames),
         agrees=agrees,
-        tip=tip(segment, take.rate_hz, origin, agrees),
+        tip=tooltip(segment, take.rate_hz, origin, agrees),
         start=segment.start,
         stop=segment.stop,
         confidence=segment.confidence,
@@ -129,7 +129,7 @@ def overlap(one: TakeSegment, other: TakeSegment) -> bool:
     return one.start < other.stop and other.start < one.stop
 
 
-def tip(segment: TakeSegment, rate_hz: float, origin: str, agrees: bool | None) -> str:
+def tooltip(segment: TakeSegment, rate_hz: float, origin: str, agrees: bool | None) -> str:
     """Describe a segment in one line."""
     seconds = f"{shown_seconds(segment.start, rate_hz)}–{shown_seconds(segment.stop, rate_hz)} s"
     text = f"{segment.label}, {origin}: {seconds}, frames [{segment.start}, {segment.stop})"
@@ -277,7 +277,7 @@ def panel(
 
 def line(costs: F64, top: float) -> str:
     """Return the path of a curve: x in frames, y in units from the top, a gap where the cost is infinite."""
-    frames, heights = thin(costs)
+    frames, heights = thinned_frames(costs)
     parts: list[str] = []
     last: tuple[int, int] | None = None
     slope: tuple[int, int] | None = None
@@ -303,7 +303,7 @@ def _flat(part: str, frames: int) -> str:
     return f"h{int(part[1:]) + frames}"
 
 
-def thin(costs: F64) -> tuple[I64, F64]:
+def thinned_frames(costs: F64) -> tuple[I64, F64]:
     """Return the frames of a curve to draw: all, or the lowest and the highest of short intervals."""
     total = costs.size
     if total <= POINTS:

@@ -10,8 +10,8 @@ from typing import Generic, TypeVar
 
 import duckdb
 
+from kinedex.ops.cancellation import CancelledWorkError, check_cancelled
 from kinedex.ops.errors import KinedexError, ParameterError
-from kinedex.ops.withdrawal import WithdrawnError, check_withdrawn
 
 _DUCKDBS_MESSAGE = "Query interrupted"
 
@@ -77,7 +77,7 @@ def run_bounded(connection: duckdb.DuckDBPyConnection, work: Callable[[], T], ti
         if run.wait(timeout):
             return run.result()
         run.stop(connection)
-    except WithdrawnError:
+    except CancelledWorkError:
         run.stop(connection)
         raise
     except KeyboardInterrupt:
@@ -118,7 +118,7 @@ class _Run(Generic[T]):
         while not self.done.wait(0.5 if end is None else max(0.0, min(0.5, end - time.monotonic()))):
             if end is not None and time.monotonic() >= end:
                 return False
-            check_withdrawn()
+            check_cancelled()
         return True
 
     def stop(self, connection: duckdb.DuckDBPyConnection) -> None:

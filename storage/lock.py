@@ -18,7 +18,7 @@ from types import TracebackType
 from filelock import lock_descriptor, unlock_descriptor
 
 from kinedex.ops.errors import Remedy, StoreError
-from kinedex.storage.disk import write_errors
+from kinedex.storage.durable_files import write_errors
 
 _POLL_SECONDS = 0.1
 

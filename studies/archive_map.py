@@ -27,15 +27,15 @@ from threadpoolctl import threadpool_limits
 
 from kinedex.ops.arrays import F64, I64
 from kinedex.ops.maps.interval_numbers import interval_numbers, standardised
-from kinedex.ops.maps.layout import LEAST, map_clusters, map_layout
+from kinedex.ops.maps.layout import MIN_POINTS, map_clusters, map_layout
 from kinedex.pipelines.evaluation.markdown import grid
-from kinedex.pipelines.search.bit_slices import stored_words
+from kinedex.pipelines.keyframes.slice_search import stored_words
 from kinedex.storage.store.store import Store, open_store
 
 NEIGHBOURS = 10
 COUNTS = (10, 20, 30)
 SIZES = (160, 80, 40)
-MOST_CUT = 60
+MAX_CUT = 60
 """A rule chooses among at most so many clusters."""
 
 GRAPHS = (10, 30)
@@ -51,32 +51,32 @@ def labelled(store: Store) -> tuple[F64, list[str]]:
     return standardised(numbers), [row["class"] for row in chosen]
 
 
-def same_class(places: F64, classes: Sequence[str]) -> float:
+def same_class(positions: F64, classes: Sequence[str]) -> float:
     """Return the fraction of the nearest other points that have the same class."""
-    count = min(NEIGHBOURS, len(places) - 1)
-    near = NearestNeighbors(n_neighbors=count).fit(places).kneighbors(return_distance=False)
+    count = min(NEIGHBOURS, len(positions) - 1)
+    near = NearestNeighbors(n_neighbors=count).fit(positions).kneighbors(return_distance=False)
     names = np.array(classes)
     return float((names[near] == names[:, None]).mean())
 
 
-def clusterings(numbers: F64, places: F64) -> Iterator[tuple[str, Sequence[int]]]:
+def clusterings(numbers: F64, positions: F64) -> Iterator[tuple[str, Sequence[int]]]:
     """Yield ways of clustering with the cluster of each take, −1 for none."""
     for share in SIZES:
         for method in ("eom", "leaf"):
             made = HDBSCAN(
-                min_cluster_size=max(LEAST, len(places) // share), cluster_selection_method=method, copy=True
+                min_cluster_size=max(MIN_POINTS, len(positions) // share), cluster_selection_method=method, copy=True
             )
-            yield f"HDBSCAN on the map, 1 in {share}, {method}", made.fit_predict(places)
-    made = HDBSCAN(min_cluster_size=max(LEAST, len(places) // SIZES[0]), min_samples=1, copy=True)
-    yield f"HDBSCAN on the map, 1 in {SIZES[0]}, one neighbour", made.fit_predict(places)
-    yield "HDBSCAN of the numbers", HDBSCAN(min_cluster_size=LEAST, copy=True).fit_predict(numbers)
+            yield f"HDBSCAN on the map, 1 in {share}, {method}", made.fit_predict(positions)
+    made = HDBSCAN(min_cluster_size=max(MIN_POINTS, len(positions) // SIZES[0]), min_samples=1, copy=True)
+    yield f"HDBSCAN on the map, 1 in {SIZES[0]}, one neighbour", made.fit_predict(positions)
+    yield "HDBSCAN of the numbers", HDBSCAN(min_cluster_size=MIN_POINTS, copy=True).fit_predict(numbers)
     for count in COUNTS:
-        yield f"k-means on the map, {count}", KMeans(count, n_init=4, random_state=0).fit_predict(places)
-        yield f"Ward on the map, {count}", AgglomerativeClustering(count).fit_predict(places)
+        yield f"k-means on the map, {count}", KMeans(count, n_init=4, random_state=0).fit_predict(positions)
+        yield f"Ward on the map, {count}", AgglomerativeClustering(count).fit_predict(positions)
         yield f"Ward of the numbers, {count}", AgglomerativeClustering(count).fit_predict(numbers)
-    for what, points in (("on the map", places), ("of the numbers", numbers)):
+    for what, points in (("on the map", positions), ("of the numbers", numbers)):
         tree = linkage(points, "ward")
-        cuts = [fcluster(tree, count, "maxclust") - 1 for count in range(2, min(MOST_CUT, len(points) // 4) + 1)]
+        cuts = [fcluster(tree, count, "maxclust") - 1 for count in range(2, min(MAX_CUT, len(points) // 4) + 1)]
         yield f"Ward {what}, silhouette", max(cuts, key=partial(silhouette_score, points))
         for count in GRAPHS:
             rule = partial(modularity, shared_neighbours(points, count))
@@ -108,14 +108,14 @@ def tables(path: Path) -> str:
     numbers, classes = labelled(open_store(path))
     begun = time.process_time()
     layout = map_layout(numbers)
-    places, seconds = layout.places.astype(np.float64), time.process_time() - begun
+    positions, seconds = layout.positions.astype(np.float64), time.process_time() - begun
     facts = [
         f"{path.name}: {len(classes)} takes of {len(set(classes))} classes, laid out in {seconds:.0f} s of one core",
         f"same class among the ten nearest: {same_class(numbers, classes):.2f} by the numbers, "
-        f"{same_class(places, classes):.2f} on the map; trustworthiness {trustworthiness(numbers, places):.3f}",
+        f"{same_class(positions, classes):.2f} on the map; trustworthiness {trustworthiness(numbers, positions):.3f}",
         "",
     ]
-    found = [("as shown", map_clusters(layout)), *clusterings(numbers, places)]
+    found = [("as shown", map_clusters(layout)), *clusterings(numbers, positions)]
     rows = []
     for name, clusters in found:
         own = np.asarray(clusters)

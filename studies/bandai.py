@@ -25,7 +25,7 @@ from kinedex.pipelines.annotation.batches import annotate_stored
 from kinedex.pipelines.annotation.methods import annotation_method
 from kinedex.pipelines.engine.executors import Executor, make_executor
 from kinedex.pipelines.engine.runner import run_pipeline
-from kinedex.pipelines.templates.learning import learn_templates, training_clips
+from kinedex.pipelines.templates.template_learning import learn_templates, training_clips
 from kinedex.storage.store.store import Store, open_store
 from studies import BUILD
 

@@ -26,7 +26,7 @@ from kinedex.ops.simulation.recording import (
     Limbs,
     Setup,
     detected_keypoints,
-    keypoint_places,
+    keypoint_positions,
     outside_hidden,
     simulated_recording,
     take_generators,
@@ -161,8 +161,8 @@ def read_truth(path: Path) -> dict[str, F64]:
         np.stack([table[name].combine_chunks().field(axis).to_numpy() for axis in "xyz"], axis=1)
         for name in CHAIN.joints
     ]
-    places = np.stack(joints, axis=1).astype(np.float64)
-    return {name: places[takes == name] for name in dict.fromkeys(takes.tolist())}
+    positions = np.stack(joints, axis=1).astype(np.float64)
+    return {name: positions[takes == name] for name in dict.fromkeys(takes.tolist())}
 
 
 def _within(spans: Sequence[tuple[int, int]], frames: int) -> Bool:
@@ -210,10 +210,10 @@ def without_failures(one: Filmed) -> Filmed:
     generator, detector = np.random.default_rng(zlib.crc32(one.name.encode())), Detector()
     positions = np.ascontiguousarray(one.truth.transpose(1, 2, 0))
     segments = np.zeros((3, len(one.points.nodes), 3))
-    unmoved = keypoint_places(one.body, positions, one.points, segments[0])
+    unmoved = keypoint_positions(one.body, positions, one.points, segments[0])
     for axis in range(3):
         segments[axis, :, axis] = 1.0
-    axes = np.stack([keypoint_places(one.body, positions, one.points, unit) - unmoved for unit in segments], axis=2)
+    axes = np.stack([keypoint_positions(one.body, positions, one.points, unit) - unmoved for unit in segments], axis=2)
     gaps = triangulate(one.rays)[0] - unmoved
     seen = np.where(one.failing[:, None, None], np.nan, np.einsum("tpai,tpi->tpa", axes, gaps))
     places = unmoved + np.einsum("tpai,pa->tpi", axes, np.nanmedian(seen, axis=0))

@@ -39,8 +39,8 @@ from kinedex.pipelines.annotation.batches import annotate_words
 from kinedex.pipelines.annotation.confidence_calibration import Target, calibrate_confidence
 from kinedex.pipelines.annotation.methods import annotation_method
 from kinedex.pipelines.engine.executors import Executor, make_executor
-from kinedex.pipelines.labels.segments import placed_files
-from kinedex.pipelines.templates.learning import SubclassTemplate, TrainingClips, learn_templates
+from kinedex.pipelines.labels.file_segments import placed_files
+from kinedex.pipelines.templates.template_learning import SubclassTemplate, TrainingClips, learn_templates
 from kinedex.storage.formats.labels.formats import read_labels
 from kinedex.storage.store.store import Store, open_store
 from studies.bandai import draw as draw_examples
@@ -52,7 +52,7 @@ I64 = npt.NDArray[np.int64]
 METHODS = ("best", "thesis")
 DELTA, TAU = 0.05, 0.13
 COUNTS = (1, 2, 3, 5, None)
-OPEN_CLASSES, LEAST_TAKES, BOOTSTRAPS = 5, 8, 1000
+OPEN_CLASSES, MIN_TAKES, BOOTSTRAPS = 5, 8, 1000
 FIFTHS = 5
 
 
@@ -190,7 +190,7 @@ def _by_actor(clips: Sequence[Clip]) -> Iterator[tuple[list[Clip], list[Judged]]
 def of_examples(store: Store, clips: Mapping[str, Clip], seeds: Sequence[int]) -> Iterator[Trial]:
     """Yield the trials of the set examples."""
     for seed in seeds:
-        drawn = draw_examples(store.takes(), seed, 5, LEAST_TAKES)
+        drawn = draw_examples(store.takes(), seed, 5, MIN_TAKES)
         yield Trial(
             [clips[name] for name in drawn.examples], [_alone(name, clips[name]) for name in drawn.rest["name"]]
         )
@@ -199,7 +199,7 @@ def of_examples(store: Store, clips: Mapping[str, Clip], seeds: Sequence[int]) -
 def of_styles(clips: Mapping[str, Clip], seeds: Sequence[int]) -> Iterator[Trial]:
     """Yield the trials of the set styles."""
     labels = [clip.label for clip in clips.values()]
-    usual = {name: clip for name, clip in clips.items() if labels.count(clip.label) >= LEAST_TAKES}
+    usual = {name: clip for name, clip in clips.items() if labels.count(clip.label) >= MIN_TAKES}
     styles = sorted({clip.group for clip in usual.values()})
     for seed in seeds:
         half = set(np.random.default_rng(seed).permutation(styles)[: len(styles) // 2].tolist())

@@ -37,12 +37,12 @@ from kinedex.pipelines.annotation.methods import annotation_method
 from kinedex.pipelines.annotation.threshold_calibration import calibrate
 from kinedex.pipelines.engine.config import load_pipeline
 from kinedex.pipelines.engine.executors import Executor, make_executor
-from kinedex.pipelines.keyframes.learning import every_query, training_sets
+from kinedex.pipelines.keyframes.learning_runs import learn_queries
 from kinedex.pipelines.keyframes.parameters import KeyframeParameters, setting_of
-from kinedex.pipelines.keyframes.runs import learn
-from kinedex.pipelines.labels.segments import placed_files
+from kinedex.pipelines.keyframes.query_learning import every_query, training_sets
+from kinedex.pipelines.labels.file_segments import placed_files
 from kinedex.pipelines.templates.examples import Rejected
-from kinedex.pipelines.templates.learning import SubclassTemplate, TrainingClips, learn_templates
+from kinedex.pipelines.templates.template_learning import SubclassTemplate, TrainingClips, learn_templates
 from kinedex.storage.formats.labels.formats import read_labels
 from kinedex.storage.store.store import Store, open_store
 from studies.few_clips import draw, truth_of
@@ -254,7 +254,7 @@ def learned_queries(
     params = shipped.model_copy(update={"runs": runs})
     classes = load_classes(OWN, {one.subclass for one in clips})
     wanted = training_sets(clips, classes, person.rejected if negatives else ())
-    outcomes = [one.outcome for one in learn(wanted, setting_of(params, store), params.rounds(), executor)]
+    outcomes = [one.outcome for one in learn_queries(wanted, setting_of(params, store), params.rounds(), executor)]
     return every_query(outcomes, store.feature_set)
 
 

@@ -23,12 +23,12 @@ from kinedex.ops.arrays import U64
 from kinedex.ops.distances.dtw import distance_curves
 from kinedex.ops.templates.templates import QuantisedTemplate
 from kinedex.ops.words import TakeWords, bits
+from kinedex.pipelines.annotation.annotation_setup import template_words
 from kinedex.pipelines.annotation.annotators import Annotator, make_annotator
 from kinedex.pipelines.annotation.batches import annotate_words
 from kinedex.pipelines.annotation.methods import BestMethod, ThesisMethod
-from kinedex.pipelines.annotation.preparation import template_words
 from kinedex.pipelines.evaluation.ground_truth import Manual, place_ground_truth
-from kinedex.pipelines.templates.learning import read_templates
+from kinedex.pipelines.templates.template_learning import read_templates
 from kinedex.storage.formats.labels.formats import read_labels
 from kinedex.storage.store.store import Store, open_store
 
@@ -38,7 +38,7 @@ STAGE = "hdm05-cmu/learn_templates"
 DELTA, TAU = 0.05, 0.13
 """The parameters of `configs/pipelines/hdm05-cmu.yaml`."""
 
-MOST_FEATURES = 4
+MAX_FEATURES = 4
 
 
 @dataclass(frozen=True)
@@ -155,7 +155,7 @@ def described(fit: Fit | None, annotator: Annotator, rate_hz: float) -> str:
     """Describe a fit in words."""
     if fit is None:
         return "–"
-    order = np.argsort(-fit.shares, kind="stable")[:MOST_FEATURES]
+    order = np.argsort(-fit.shares, kind="stable")[:MAX_FEATURES]
     names = annotator.feature_set.features
     parts = [f"{names[index].name} {fit.shares[index]:.3f}" for index in order if fit.shares[index] > 0.002]
     where = f"{fit.start / rate_hz:.1f}–{fit.stop / rate_hz:.1f} s"

@@ -19,7 +19,7 @@ import kinedex
 from kinedex.library.take import Take
 from kinedex.ops.body.resample import covered_frames
 from kinedex.pipelines.evaluation.markdown import grid
-from kinedex.pipelines.export.request import FORMS
+from kinedex.pipelines.export.request import FILE_FORMATS
 from kinedex.storage.formats.motion.channel_cuts import SourceCut
 
 CONTEXTS_S = (0.0, 0.25, 0.5, 1.0)
@@ -78,7 +78,7 @@ def cuts(source: Path, folder: Path, count: int, seconds: float, random: np.rand
 def _differ(take: Take, start: int, stop: int, first: int, last: int, folder: Path) -> npt.NDArray[np.bool_]:
     """Return the frames of [start, stop) whose words differ in the cut [first, last)."""
     info = take.info
-    form = FORMS[str(info["format"])]
+    form = FILE_FORMATS[str(info["format"])]
     covered = covered_frames(first, last, int(info["source_frames"]), float(info["source_rate_hz"]), take.rate_hz)
     paths = [folder / f"cut.{ending}" for ending in form.endings]
     skeleton = info["skeleton_source"]

@@ -24,14 +24,14 @@ from kinedex.catalog.classes import load_classes
 from kinedex.catalog.features import FeatureSet
 from kinedex.console.terminal import make_console
 from kinedex.ops.annotation.background import SPLITS, background
-from kinedex.ops.annotation.decoding import Decoding, Explained, explain, lay_columns, margins
+from kinedex.ops.annotation.decoding import Decoding, ExplainedSegment, concatenated_columns, explain, margins
 from kinedex.ops.arrays import U64
 from kinedex.ops.evaluation.metrics import Counts, compare, pooled
-from kinedex.ops.templates.templates import Learned, learn_soft
+from kinedex.ops.templates.templates import LearnedTemplate, learn_soft
 from kinedex.ops.words import NO_WORD, TakeWords
 from kinedex.pipelines.annotation.annotators import make_annotator
 from kinedex.pipelines.annotation.batches import annotate_words
-from kinedex.pipelines.templates.learning import SubclassTemplate
+from kinedex.pipelines.templates.template_learning import SubclassTemplate
 from kinedex.storage.store.store import Store, open_store
 
 F64 = npt.NDArray[np.float64]
@@ -48,11 +48,11 @@ SETS = {
     "alone": "the same as styles, every clip a take of its own",
 }
 
-MOST_CLIPS, CLIPS_A_TAKE, ORDERS = 4, 9, 3  # clips of a class in a drawn order, so that no class fills the takes
+MAX_CLIPS, CLIPS_A_TAKE, ORDERS = 4, 9, 3  # clips of a class in a drawn order, so that no class fills the takes
 OPEN_SETS, OPEN_CLASSES = 4, 5
 PACE = 1.4
 HABITS = 5
-STYLE_GROUPS, STYLE_CLIPS, LEAST_CLIPS = 5, 7, 8
+STYLE_GROUPS, STYLE_CLIPS, MIN_CLIPS = 5, 7, 8
 
 BANDS = (0.0, 0.2, 0.4, 0.6, 0.8, 1.0)
 
@@ -122,15 +122,15 @@ class Trial:
     labels: Sequence[str]
 
     @cached_property
-    def known(self) -> list[tuple[str, Learned]]:
+    def known(self) -> list[tuple[str, LearnedTemplate]]:
         """Return the classes that have a template."""
         return [(label, self.fold.learned[label]) for label in self.labels if label in self.fold.learned]
 
-    def explained(self, setting: Setting) -> Iterator[tuple[LaidOut, list[Explained], F64]]:
+    def explained(self, setting: Setting) -> Iterator[tuple[LaidOut, list[ExplainedSegment], F64]]:
         """Yield each take with its explanation and the margins."""
         templates = [one.template for _, one in self.known]
         usual = self.fold.usual(setting.splits)
-        columns, classes = lay_columns(templates, usual, setting.decoding), np.arange(len(templates))
+        columns, classes = concatenated_columns(templates, usual, setting.decoding), np.arange(len(templates))
         for take in self.takes:
             found = explain(templates, usual, take.words, setting.decoding, columns=columns)
             yield take, found, margins(found, templates, classes, usual, take.words, setting.decoding, columns)
@@ -229,7 +229,7 @@ def of_people(store: Store, where: str, other: str | None) -> dict[str, list[Tri
     labels = sorted({clip.label for clip in clips})
     folds = []
     for actor in sorted({clip.group for clip in clips}):
-        takes = laid_out([clip for clip in clips if clip.group == actor], ORDERS, MOST_CLIPS, CLIPS_A_TAKE)
+        takes = laid_out([clip for clip in clips if clip.group == actor], ORDERS, MAX_CLIPS, CLIPS_A_TAKE)
         folds.append(Fold([clip for clip in clips if clip.group != actor], takes, features))
     random = np.random.default_rng(1)
     few = min(OPEN_CLASSES, len(labels))
@@ -256,7 +256,7 @@ def of_styles(store: Store, where: str) -> dict[str, list[Trial]]:
     """Return the folds that leave out some styles each; a store of `studies.bandai` has the style as actor."""
     clips, features = clips_of(store, where), len(store.feature_set.features)
     every = [clip.label for clip in clips]
-    labels = sorted({label for label in every if every.count(label) >= LEAST_CLIPS})
+    labels = sorted({label for label in every if every.count(label) >= MIN_CLIPS})
     clips = [clip for clip in clips if clip.label in labels]
     styles, random = sorted({clip.group for clip in clips}), np.random.default_rng(2)
     halves = [sorted(random.permutation(labels)[: len(labels) // 2].tolist()) for _ in range(2)]

@@ -154,12 +154,12 @@ def rows(
 def table(found: Mapping[tuple[str, str], Tracks], prototype: Mapping[tuple[str, str], Sequence[str]]) -> list[str]:
     """Return a table of rows, with those of the prototype below."""
     methods = list(next(iter(found.values())))
-    places = [[*METHODS, BOTH].index(name) for name in methods]
+    positions = [[*METHODS, BOTH].index(name) for name in methods]
     lines = []
     for (film, kind), tracks in found.items():
         lines.append([f"{film}, {kind}", *(cell(tracks[name]) for name in methods)])
         if (film, kind) in prototype:
-            lines.append(["prototype", *(prototype[film, kind][place] for place in places)])
+            lines.append(["prototype", *(prototype[film, kind][place] for place in positions)])
     return grid(["", *methods], lines)
 
 

@@ -22,12 +22,12 @@ from kinedex.catalog.configs import shipped_configs
 from kinedex.catalog.depth_cameras import DepthCamera
 from kinedex.catalog.filmed_bodies import KIND, load_filmed_body
 from kinedex.ops.body.joint_tree import JOINTS
-from kinedex.ops.depth.pose_database import bone_directions, bone_lengths_of, thin_poses
+from kinedex.ops.depth.thinned_poses import bone_directions, bone_lengths_of, thin_poses
 from kinedex.ops.simulation import depth_rays
 from kinedex.ops.simulation.depth_sensors import SENSORS
 from kinedex.ops.words import NO_WORD
-from kinedex.pipelines.simulation.depth_recordings import film_take, write_recording
-from kinedex.pipelines.simulation.recording_files import new_folder
+from kinedex.pipelines.simulation.recording_folder import new_folder
+from kinedex.pipelines.simulation.simulated_depth import film_take, write_recording
 from kinedex.storage.formats.depth.camera_file import read_camera
 from kinedex.storage.formats.depth.png import read_depth_png
 from studies import BUILD

@@ -61,11 +61,11 @@ def make_store(path: Path, base: Store, hours: float, variants: Variants, seed: 
     with StoreWriter.open(path, base.feature_set, base.rate_hz) as writer:
         number = 0
         while frames < hours * 3600 * base.rate_hz:
-            name, places = f"take{number:06}", _another(motions, base.rate_hz, random)
-            waiting.append((name, places, base.rate_hz))
-            frames += len(places)
+            name, positions = f"take{number:06}", _another(motions, base.rate_hz, random)
+            waiting.append((name, positions, base.rate_hz))
+            frames += len(positions)
             if number % COPIED == 0:
-                every = list(variants(places, base.rate_hz))
+                every = list(variants(positions, base.rate_hz))
                 kind, copied, rate = every[1 + number // COPIED % (len(every) - 1)]
                 copies[f"copy{number:06}"] = name, kind
                 waiting.append((f"copy{number:06}", copied, rate))
@@ -89,15 +89,15 @@ def _another(motions: list[F32], rate_hz: float, random: np.random.Generator) ->
         0, len(motion) - 1.001
     )  # to and fro
     before, share = moments.astype(np.int64), (moments % 1).astype(np.float32)[:, None, None]
-    places = motion[before] * (1 - share) + motion[before + 1] * share
-    places *= np.float32(random.uniform(*SIZES))
+    positions = motion[before] * (1 - share) + motion[before + 1] * share
+    positions *= np.float32(random.uniform(*SIZES))
     knots, _ = _drawn(count, WANDER_S * rate_hz, random, 0, 1)
-    wander = random.normal(0, WANDERING_M, (len(knots), *places.shape[1:])).astype(np.float32)
+    wander = random.normal(0, WANDERING_M, (len(knots), *positions.shape[1:])).astype(np.float32)
     after = np.searchsorted(knots, np.arange(count), side="right").clip(1, len(knots) - 1)
     left, right = knots[after - 1], knots[after]
     part = ((np.arange(count) - left) / (right - left)).astype(np.float32)[:, None, None]
     part = part * part * (3 - 2 * part)
-    moved: F32 = places + wander[after - 1] * (1 - part) + wander[after] * part
+    moved: F32 = positions + wander[after - 1] * (1 - part) + wander[after] * part
     return moved
 
 

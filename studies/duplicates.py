@@ -25,7 +25,7 @@ from kinedex.catalog.features import load_feature_set
 from kinedex.catalog.skeletons.mappings import load_mappings
 from kinedex.pipelines.engine.runner import run_pipeline
 from kinedex.pipelines.inspection.duplicates import find_duplicates
-from kinedex.pipelines.synth.archive import write_archive
+from kinedex.pipelines.simulation.synthetic_archive import write_archive
 from kinedex.storage.formats.motion.reader_table import read_body
 from kinedex.storage.formats.motion.sources import Scan, scan
 from kinedex.storage.store.store import open_store
@@ -63,21 +63,21 @@ def main() -> None:
         _copies_of_motion(found, given.every, Path(name))
 
 
-def variants(places: F32, rate: float) -> Iterator[tuple[str, F32, float]]:
+def variants(positions: F32, rate: float) -> Iterator[tuple[str, F32, float]]:
     """Yield the copies of a take: name, places (T, J, 3) and frames per second."""
-    count, joints = len(places), list(FEATURES.joints)
-    yield "as it is", places, rate
-    yield "cut", places[count // 5 + 1 : count - count // 7], rate
-    yield "half the rate", places[1::2], rate / 2
-    turned = places @ np.array([[0.6, 0, 0.8], [0, 1, 0], [-0.8, 0, 0.6]], np.float32) + np.float32([2, 0, 5])
+    count, joints = len(positions), list(FEATURES.joints)
+    yield "as it is", positions, rate
+    yield "cut", positions[count // 5 + 1 : count - count // 7], rate
+    yield "half the rate", positions[1::2], rate / 2
+    turned = positions @ np.array([[0.6, 0, 0.8], [0, 1, 0], [-0.8, 0, 0.6]], np.float32) + np.float32([2, 0, 5])
     yield "moved and turned", turned, rate
-    yield "in place", places - places[:, :1] * np.float32([1, 0, 1]), rate
-    yield "to whole millimetres", np.round(places, 3), rate
+    yield "in place", positions - positions[:, :1] * np.float32([1, 0, 1]), rate
+    yield "to whole millimetres", np.round(positions, 3), rate
     other = {"l": "r", "r": "l"}
     sides = [joints.index(other.get(joint[0], "") + joint[1:]) if joint[0] in other and joint != "root" else
              joints.index(joint) for joint in joints]  # fmt: skip
-    yield "mirrored", places[:, sides] * np.float32([-1, 1, 1]), rate
-    yield "cut, half the rate, mirrored", (places[:, sides] * np.float32([-1, 1, 1]))[count // 5 + 1 :: 2], rate / 2
+    yield "mirrored", positions[:, sides] * np.float32([-1, 1, 1]), rate
+    yield "cut, half the rate, mirrored", (positions[:, sides] * np.float32([-1, 1, 1]))[count // 5 + 1 :: 2], rate / 2
 
 
 def _copies_of_files(found: Scan, every: int, folder: Path, names: int) -> None:
@@ -109,10 +109,10 @@ def _copies_of_motion(found: Scan, every: int, folder: Path) -> None:
     for file in found.motions[::every]:
         skeleton = found.skeleton_of(file).absolute if file.format == "amc" else None
         body = read_body(file.absolute, skeleton, mappings, FEATURES.joints)
-        places = np.ascontiguousarray(body.positions.transpose(2, 0, 1), np.float32)
+        positions = np.ascontiguousarray(body.positions.transpose(2, 0, 1), np.float32)
         (folder / "in").mkdir(exist_ok=True)
         kinds = []
-        for number, (kind, copy, rate) in enumerate(variants(places, body.rate_hz)):
+        for number, (kind, copy, rate) in enumerate(variants(positions, body.rate_hz)):
             kinds.append(kind)
             path = folder / "in" / f"{file.stem}{SEPARATOR}{number}.npz"
             np.savez(path, positions=copy, names=np.array(FEATURES.joints), rate_hz=rate)

@@ -22,7 +22,7 @@ from benchmarks.harness import silent
 from kinedex.catalog.classes import load_classes
 from kinedex.ops.evaluation.metrics import compare
 from kinedex.pipelines.engine.runner import run_pipeline
-from kinedex.pipelines.labels.segments import placed_files
+from kinedex.pipelines.labels.file_segments import placed_files
 from kinedex.storage.formats.labels.formats import read_labels
 from kinedex.storage.store.store import Store, open_store
 from studies import BUILD
@@ -33,10 +33,10 @@ Ranges = Mapping[str, Sequence[Range]]
 
 Row = dict[str, Any]
 
-TOP, MOST_TOP, TAU = 60, 500, 0.1
+TOP, MAX_TOP, TAU = 60, 500, 0.1
 """The page shows so many hits at first, and so many at most, below this cost."""
 
-STEP, MOST_TAU = 0.05, 0.3
+STEP, MAX_TAU = 0.05, 0.3
 """The person raises τ by so much where the list ends, up to this."""
 
 THINKING = 5.0
@@ -236,9 +236,9 @@ class Person:
         while True:
             found = self.hits(top, tau)
             rows = self.undecided(found["hits"])
-            if len(rows) >= self.each or (found["more"] and top >= MOST_TOP) or tau >= MOST_TAU:
+            if len(rows) >= self.each or (found["more"] and top >= MAX_TOP) or tau >= MAX_TAU:
                 return rows[: self.each]
-            top, tau = (min(MOST_TOP, 2 * top), tau) if found["more"] else (top, min(MOST_TAU, tau + STEP))
+            top, tau = (min(MAX_TOP, 2 * top), tau) if found["more"] else (top, min(MAX_TAU, tau + STEP))
 
     def save(self) -> None:
         """Save what was accepted and rejected as labels."""
@@ -268,7 +268,7 @@ class Person:
         rows = (
             store.result("annotations").to_pylist()
             if self.learns
-            else self.hits(MOST_TOP, decided=decided, waits=False)["hits"]
+            else self.hits(MAX_TOP, decided=decided, waits=False)["hits"]
         )
         rows = [row for row in rows if row.get("class", self.label) == self.label and row["take"] in set(takes)]
         if decided:  # a person's word counts more than that of a template

@@ -80,8 +80,8 @@ def savitzky_golay(values: F64, frames: int, degree: int) -> F64:
         The value of the polynomial at each frame.
     """
     half = min(frames, len(values) - 1 + len(values) % 2) // 2
-    places = np.arange(-half, half + 1.0)
-    powers = places[:, None] ** np.arange(degree + 1)
+    positions = np.arange(-half, half + 1.0)
+    powers = positions[:, None] ** np.arange(degree + 1)
     smoother = powers @ np.linalg.pinv(powers)  # row i: the value at place i of the window
     flat = values.reshape(len(values), -1)
     windows = np.lib.stride_tricks.sliding_window_view(flat, 2 * half + 1, axis=0)

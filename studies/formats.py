@@ -13,8 +13,8 @@ from kinedex.catalog.features import load_feature_set
 from kinedex.catalog.skeletons.mappings import load_mappings
 from kinedex.ops.body import features
 from kinedex.pipelines.engine.runner import run_pipeline
-from kinedex.pipelines.export.export import export_take
-from kinedex.pipelines.export.request import How
+from kinedex.pipelines.export.data_set import export_take
+from kinedex.pipelines.export.request import ClipOptions
 from kinedex.storage.formats.motion.reader import Body
 from kinedex.storage.formats.motion.reader_table import read_body
 from kinedex.storage.store.store import open_store
@@ -63,7 +63,7 @@ def _exported(amc: Path, asf: Path) -> None:
             (folder / "one" / file.name).write_bytes(file.read_bytes())
         run_pipeline("ingest", folder / "a", assignments={"source": str(folder / "one")}, terminal=silent())
         (folder / "two").mkdir()
-        export_take(open_store(folder / "a"), amc.stem, How("csv"), folder / "two" / f"{amc.stem}.csv")
+        export_take(open_store(folder / "a"), amc.stem, ClipOptions("csv"), folder / "two" / f"{amc.stem}.csv")
         settings = {"source": str(folder / "two"), "ingest.rate_hz": "30"}
         run_pipeline("ingest", folder / "b", assignments=settings, terminal=silent())
         _compare(

@@ -14,10 +14,10 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from kinedex.ops.inertial.disagreement import errors
+from kinedex.ops.inertial.disagreement import frame_errors
 from kinedex.ops.inertial.hand_eye import Options, Stream, StreamFit, calibrate
 from kinedex.ops.inertial.rotations import Z_TO_Y, angular_speed, conjugate, distance_deg, interpolate, multiply
-from kinedex.ops.inertial.time_offset import Fine, Speeds, TimeOffset, find, refine, sensor_speed
+from kinedex.ops.inertial.time_offset import FineSearch, Speeds, TimeOffset, find_offset, refine_offset, sensor_speed
 from kinedex.ops.inertial.whitened_offset import whitened_offset
 from kinedex.pipelines.evaluation.markdown import grid
 from studies.inertial_recordings import Worn, broad_trials, read_feet
@@ -55,7 +55,7 @@ def _rms(values: F64) -> float:
 
 def lag(recordings: Sequence[Worn], longest_s: float | None = None) -> TimeOffset:
     """Return the offset of sensors by correlation of angular speeds."""
-    return find(
+    return find_offset(
         [
             Speeds(*angular_speed(one.times, one.track), *sensor_speed(one.sensor_times, one.gyr, None))
             for one in recordings
@@ -70,7 +70,7 @@ def trial_calibration(trial: Worn, magnetometer: bool, options: Options) -> tupl
     sensor, track = trial.orientation(magnetometer)[frames], trial.track[frames]
     stream = Stream("body", trial.name, trial.times[frames], sensor, track, np.ones(len(frames), bool))
     (fit,) = calibrate([stream], options)
-    e = errors(fit.drift.corrected(stream.times, sensor), track, fit.q_global, fit.q_mount, AXIS).degrees
+    e = frame_errors(fit.drift.corrected(stream.times, sensor), track, fit.q_global, fit.q_mount, AXIS).degrees
     return float(distance_deg(fit.q_mount, np.array([1.0, 0.0, 0.0, 0.0]))), _rms(e)
 
 
@@ -91,9 +91,9 @@ def feet_offset(feet: Sequence[Worn], whitened: bool = False) -> float:
     for foot, stream, fit in zip(feet, streams, calibrate(streams, Options(shared=False)), strict=True):
         predicted = multiply(multiply(conjugate(fit.q_global), stream.track), fit.q_mount)
         limbs.append(
-            Fine(stream.times[stream.valid], predicted[stream.valid], foot.sensor_times, foot.orientation(False))
+            FineSearch(stream.times[stream.valid], predicted[stream.valid], foot.sensor_times, foot.orientation(False))
         )
-    offset = refine(limbs, offset)
+    offset = refine_offset(limbs, offset)
     return whitened_offset(limbs, offset)[0] if whitened else offset
 
 
@@ -106,8 +106,8 @@ def trial_offset(trial: Worn) -> float:
     )
     (fit,) = calibrate([stream], Options())
     predicted = multiply(multiply(conjugate(fit.q_global), stream.track), fit.q_mount)
-    limb = Fine(stream.times, predicted, trial.sensor_times, orientation)
-    return whitened_offset([limb], refine([limb], 0.0))[0]
+    limb = FineSearch(stream.times, predicted, trial.sensor_times, orientation)
+    return whitened_offset([limb], refine_offset([limb], 0.0))[0]
 
 
 def feet_streams(feet: Sequence[Worn], offset_s: float) -> list[Stream]:
@@ -126,7 +126,7 @@ def feet_errors(streams: Sequence[Stream], options: Options) -> list[Foot]:
 
 def _foot(stream: Stream, fit: StreamFit) -> Foot:
     sensor = fit.drift.corrected(stream.times, stream.sensor)
-    e = errors(sensor, stream.track, fit.q_global, fit.q_mount, AXIS).degrees[stream.valid]
+    e = frame_errors(sensor, stream.track, fit.q_global, fit.q_mount, AXIS).degrees[stream.valid]
     return Foot(float(e.mean()), float(e.std()), float(np.percentile(e, 95)), fit.tilt_deg)
 
 

@@ -13,7 +13,7 @@ from kinedex.ops.evaluation.metrics import pooled
 from kinedex.ops.inertial.hand_eye import DOUBTFUL
 from kinedex.ops.inertial.limb_orientation import NONE
 from kinedex.ops.inertial.rotations import conjugate, distance_deg, exp, log, multiply, rotate
-from kinedex.ops.inertial.sensor_model import centred_acceleration, generator
+from kinedex.ops.inertial.sensor_model import centred_acceleration, seeded_generator
 from kinedex.pipelines.inertial.limb_error_curves import LimbCurve
 from kinedex.pipelines.inertial.limb_motion import LimbMotion
 from kinedex.pipelines.inertial.parameters import CalibrateParameters
@@ -102,7 +102,7 @@ def _of_basis(basis: str, broken: LimbMotion, true: LimbMotion, joints: LimbMoti
 def known_by_joints(motion: Path, skeleton: Path) -> dict[str, LimbMotion]:
     """Return the shanks of a take at 40 Hz as hinges, in the frames of its trial."""
     kept = piece_of(read_limbs(motion, skeleton))
-    limbs = read_limbs(motion, skeleton, turns=False)
+    limbs = read_limbs(motion, skeleton, rotations=False)
     found = standing({name: part(limbs[name], kept) for name in ("lshank", "rshank")})
     return {name: part(one, every_frame(one.times)) for name, one in found.items()}
 
@@ -160,6 +160,6 @@ def drifting(limb: LimbMotion, share: float, name: str) -> LimbMotion:
     wrong = ~right_frames(len(limb.times), share)
     angle = np.zeros(len(limb.times))
     angle[wrong] = np.linspace(0.0, np.radians(120.0), int(wrong.sum()))
-    axis = generator(0, "robustness", name).normal(size=3)
+    axis = seeded_generator(0, "robustness", name).normal(size=3)
     turn = exp(angle[:, None] * axis / np.linalg.norm(axis))
     return replace(limb, orientation=multiply(limb.orientation, turn))

@@ -94,10 +94,10 @@ def read_feet(folder: Path) -> list[Worn]:
             np.stack([readings[f"{side}_sensor", f"{quantity}_{axis}"] for axis in "xyz"], axis=1)
             for quantity in ("acc", "gyr")
         )
-        places = np.stack(
+        positions = np.stack(
             [np.stack([markers[f"{letter}_{name}", axis] for axis in "xyz"], axis=1) for name in MARKERS], axis=1
         )
-        fit = segment_orientation(places / 1000.0)
+        fit = segment_orientation(positions / 1000.0)
         feet.append(
             Worn(
                 f"{side} foot",
@@ -106,7 +106,7 @@ def read_feet(folder: Path) -> list[Worn]:
                 acc,
                 np.radians(gyr),
                 None,
-                np.arange(len(places)) / MARKER_RATE_HZ,
+                np.arange(len(positions)) / MARKER_RATE_HZ,
                 multiply(Z_TO_Y, fit.orientation),
                 fit.valid,
             )

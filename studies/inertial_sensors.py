@@ -26,19 +26,19 @@ from kinedex.ops.inertial.rotations import conjugate, distance_deg, interpolate,
 from kinedex.ops.inertial.sensor_model import (
     SensorMotion,
     field_in_sensor,
-    generator,
+    gyroscope_rates,
     magnetic_field,
     measured,
+    seeded_generator,
     sensor_motion,
     smooth,
     specific_force,
-    turn_rates,
 )
 from kinedex.pipelines.evaluation.markdown import grid
 from kinedex.pipelines.inertial.limb_motion import take_limbs
 from kinedex.storage.formats.imu.recording import read_recording
+from kinedex.storage.formats.motion.body_limbs import BodyLimbs, read_body_limbs
 from kinedex.storage.formats.motion.reader import DEFAULT_SETTINGS, MotionFile
-from kinedex.storage.formats.motion.segments import Segments, read_segments
 
 F64 = npt.NDArray[np.float64]
 
@@ -48,7 +48,7 @@ CUTOFF_HZ = 8.0
 SENSOR_HZ = 100.0
 """The rate of the simulated sensors: half an interval is near the 4 ms by which the readings of BROAD lag."""
 
-SHORT_GAP_S, LEAST_S = 0.1, 2.0
+SHORT_GAP_S, MIN_S = 0.1, 2.0
 STILL_DEG_S, STILL_S = 1.0, 0.5
 ALLAN_S = 60.0
 """A rest of so many seconds has an Allan deviation; a shorter one has a noise density alone."""
@@ -131,7 +131,7 @@ def agreement(trial: Trial) -> Agreement:
         inner[: int(SENSOR_HZ / 2)] = inner[-int(SENSOR_HZ / 2) :] = False
         for name, values in (
             ("acc", specific_force(motion.orientation, motion.acceleration)),
-            ("gyr", turn_rates(motion.orientation, SENSOR_HZ)),
+            ("gyr", gyroscope_rates(motion.orientation, SENSOR_HZ)),
             ("mag", field_in_sensor(motion.orientation, field)),
         ):
             made[name].append(values[inner])
@@ -146,10 +146,10 @@ def agreement(trial: Trial) -> Agreement:
 
 def _pieces(trial: Trial, seen: npt.NDArray[np.bool_]) -> Iterator[tuple[int, int]]:
     """Yield intervals [start, stop) without a gap above a tenth of a second."""
-    places = np.flatnonzero(seen)
-    breaks = np.flatnonzero(np.diff(places) > SHORT_GAP_S * trial.rate_hz)
-    for part in np.split(places, breaks + 1):
-        if len(part) and part[-1] - part[0] >= LEAST_S * trial.rate_hz:
+    positions = np.flatnonzero(seen)
+    breaks = np.flatnonzero(np.diff(positions) > SHORT_GAP_S * trial.rate_hz)
+    for part in np.split(positions, breaks + 1):
+        if len(part) and part[-1] - part[0] >= MIN_S * trial.rate_hz:
             yield int(part[0]), int(part[-1]) + 1
 
 
@@ -214,7 +214,7 @@ def simulated_rest(grade: str, rate_hz: float, seconds: float) -> Rest:
     motion = SensorMotion(rate_hz, np.tile(ONE, (count, 1)), np.zeros((count, 3)))
     own = load_grade(grade)
     still = type(own)(own.acc, own.gyr, own.mag)
-    read = measured(motion, still, magnetic_field(), generator(1, grade))
+    read = measured(motion, still, magnetic_field(), seeded_generator(1, grade))
     return Rest(f"{grade} (simulated)", rate_hz, read.acc, read.gyr)
 
 
@@ -245,9 +245,9 @@ def hinge_errors(data: Path) -> list[list[str]]:
     found: dict[str, list[F64]] = {limb: [] for limb in HINGES}
     for path in sorted(data.glob("cmu/[0-9]*/*.amc")):
         skeleton = path.with_name(f"{path.stem.partition('_')[0]}.asf")
-        read = read_segments(MotionFile(path, skeleton), mappings, joints, DEFAULT_SETTINGS, LIMBS)
+        read = read_body_limbs(MotionFile(path, skeleton), mappings, joints, DEFAULT_SETTINGS, LIMBS)
         full = take_limbs(read, joints, LIMBS).limbs
-        hinge = take_limbs(Segments(read.body), joints, LIMBS).limbs
+        hinge = take_limbs(BodyLimbs(read.body), joints, LIMBS).limbs
         for limb, errors in found.items():
             for side in "lr":
                 one, other = full[side + limb], hinge[side + limb]

@@ -15,28 +15,28 @@ from kinedex.catalog.skeletons.mappings import load_mappings
 from kinedex.ops.body.joint_tree import JOINTS
 from kinedex.ops.inertial.orientation_filter import estimate_calibrated
 from kinedex.ops.inertial.rotations import interpolate
-from kinedex.pipelines.inertial.broken_takes import LimbLabel, break_take
 from kinedex.pipelines.inertial.limb_motion import LimbMotion, StoredLimbs, take_limbs
+from kinedex.pipelines.inertial.simulated_errors import LimbLabel, inject_errors
 from kinedex.pipelines.inertial.worn_sensors import WornSensor, WornTake
 from kinedex.pipelines.simulation.imu_sensors import (
     LimbPiece,
     Piece,
     SampledPiece,
-    Wearing,
-    Worn,
+    TakeSensors,
+    WearOptions,
     sample_piece,
     take_pieces,
     worn_sensors,
 )
-from kinedex.pipelines.synth.archive import write_archive
+from kinedex.pipelines.simulation.synthetic_archive import write_archive
+from kinedex.storage.formats.motion.body_limbs import read_body_limbs
 from kinedex.storage.formats.motion.reader import MotionFile, ReadSettings
-from kinedex.storage.formats.motion.segments import read_segments
 
 F64 = npt.NDArray[np.float64]
 
 CMU = ("01_01", "02_05", "02_10", "03_04", "86_09")
 """The takes of CMU."""
-LEAST_S, MOST_S = 3.0, 60.0
+MIN_S, MAX_S = 3.0, 60.0
 """Pieces of HDM05, whose takes are clips in a row, have so many seconds at least, all pieces so many at most."""
 SYNTHETIC_MINUTES = 6.0
 """The size of the synthetic archive, whose clips wear no sensors."""
@@ -77,7 +77,7 @@ class Trial:
     true: dict[str, LimbMotion]
     take: WornTake
     labels: list[LimbLabel]
-    worn: Worn
+    worn: TakeSensors
     sampled: SampledPiece
 
 
@@ -91,25 +91,25 @@ def read_trials(takes: Sequence[Source], grade: str, seed: int = 0) -> Iterator[
             yield make_trial(name, take.actor, still, grade, seed)
 
 
-def read_limbs(motion: Path, skeleton: Path, *, turns: bool = True) -> dict[str, LimbMotion]:
+def read_limbs(motion: Path, skeleton: Path, *, rotations: bool = True) -> dict[str, LimbMotion]:
     """Return the limbs of a take; without turns by its joints alone."""
-    segments = read_segments(
+    segments = read_body_limbs(
         MotionFile(motion, skeleton), load_mappings("auto", JOINTS), tuple(JOINTS), ReadSettings(), WORN
     )
-    return take_limbs(segments if turns else replace(segments, turns={}), tuple(JOINTS), WORN).limbs
+    return take_limbs(segments if rotations else replace(segments, rotations={}), tuple(JOINTS), WORN).limbs
 
 
 def piece_of(limbs: dict[str, LimbMotion]) -> slice:
-    """Return the frames between jumps where those are most, for `MOST_S` at most."""
+    """Return the frames between jumps where those are most, for `MAX_S` at most."""
     piece = max(take_pieces(limbs, WORN, True).pieces, key=lambda one: one.stop - one.start)
     times = next(iter(limbs.values())).times
-    return slice(piece.start, min(piece.stop, piece.start + int(MOST_S / (times[1] - times[0]))))
+    return slice(piece.start, min(piece.stop, piece.start + int(MAX_S / (times[1] - times[0]))))
 
 
 def pieces_of(limbs: dict[str, LimbMotion]) -> list[slice]:
-    """Return the frames between jumps wherever those last `LEAST_S`."""
+    """Return the frames between jumps wherever those last `MIN_S`."""
     times = next(iter(limbs.values())).times
-    least = LEAST_S / (times[1] - times[0])
+    least = MIN_S / (times[1] - times[0])
     found = take_pieces(limbs, WORN, True).pieces
     return [slice(one.start, one.stop) for one in found if one.stop - one.start >= least]
 
@@ -152,13 +152,13 @@ def standing(limbs: dict[str, LimbMotion]) -> dict[str, LimbMotion]:
 
 def make_trial(name: str, actor: str, limbs: dict[str, LimbMotion], grade: str, seed: int) -> Trial:
     """Put sensors on the limbs of a take, and break the limbs."""
-    wearing = Wearing(seed, SENSOR_HZ, load_grade(grade), LEVER_M)
+    wearing = WearOptions(seed, SENSOR_HZ, load_grade(grade), LEVER_M)
     worn = worn_sensors(wearing, name, actor, limbs)
     pieces = {limb: LimbPiece(one.times, one.position, one.orientation) for limb, one in limbs.items()}
     sampled = sample_piece(Piece(0, len(next(iter(limbs.values())).times), pieces), 0, name, worn, wearing)
     times = next(iter(limbs.values())).times
     slow = {limb: part(one, every_frame(times)) for limb, one in limbs.items()}
-    broken = break_take(StoredLimbs(1, name, slow), [limb for limb in WORN if limb != "torso"], NOISE_DEG, 0, seed)
+    broken = inject_errors(StoredLimbs(1, name, slow), [limb for limb in WORN if limb != "torso"], NOISE_DEG, 0, seed)
     estimated = {
         limb: estimate_calibrated(SENSOR_HZ, own.acc, own.gyr, own.mag)[0] for limb, own in sampled.readings.items()
     }

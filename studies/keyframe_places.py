@@ -14,9 +14,9 @@ from kinedex.ops.words import TakeWords
 from kinedex.pipelines.annotation.annotators import make_annotator
 from kinedex.pipelines.annotation.batches import annotate_words
 from kinedex.pipelines.engine.executors import Executor
-from kinedex.pipelines.keyframes.learning import Outcome, keyframe_queries
 from kinedex.pipelines.keyframes.margins import hit_ranges
-from kinedex.pipelines.templates.learning import TrainingClips, learn_templates
+from kinedex.pipelines.keyframes.query_learning import Outcome, keyframe_queries
+from kinedex.pipelines.templates.template_learning import TrainingClips, learn_templates
 from kinedex.storage.store.store import Store
 
 CLIPS_A_TAKE = 9

@@ -22,10 +22,10 @@ from kinedex.ops.evaluation.metrics import Counts, pooled
 from kinedex.ops.evaluation.reliability import wilson
 from kinedex.pipelines.engine.config import load_pipeline
 from kinedex.pipelines.engine.executors import Executor, make_executor
-from kinedex.pipelines.keyframes.learning import Outcome, TrainingSet, training_sets
+from kinedex.pipelines.keyframes.learning_runs import learn_queries
 from kinedex.pipelines.keyframes.parameters import KeyframeParameters, setting_of
-from kinedex.pipelines.keyframes.runs import learn
-from kinedex.pipelines.templates.learning import TrainingClips, training_clips
+from kinedex.pipelines.keyframes.query_learning import Outcome, TrainingSet, training_sets
+from kinedex.pipelines.templates.template_learning import TrainingClips, training_clips
 from kinedex.storage.store.store import Store, open_store
 from studies.keyframe_places import Measured, Searched, annotated, joined, measured, with_ground_truth
 from studies.two_stage_interval import two_stage_interval
@@ -98,16 +98,16 @@ def main() -> None:
     print(f"| {' | '.join(heads)} |\n{'|---' * len(heads)}|")
     details = {}
     for name in names:
-        places = measure(study, name)
-        details[name] = places
-        people = [found for place, found in places.items() if place != "takes"]
+        positions = measure(study, name)
+        details[name] = positions
+        people = [found for place, found in positions.items() if place != "takes"]
         print(_line(name, "each actor in turn", people, study), flush=True)
-        for place, found in places.items():
+        for place, found in positions.items():
             print(_line("", place, [found], study), flush=True)
     if arguments.by_class:
-        for name, places in details.items():
+        for name, positions in details.items():
             if name != NO_QUERIES:
-                _by_class(name, places)
+                _by_class(name, positions)
     executor.close()
 
 
@@ -158,17 +158,17 @@ def _learned(study: Study, clips: Sequence[TrainingClips], params: KeyframeParam
     setting = setting_of(params, study.store)
     rounds = params.rounds()
     wanted: list[TrainingSet] = training_sets(clips, load_classes("own", [one.subclass for one in clips]))
-    return [one.outcome for one in learn(wanted, setting, rounds, study.executor)]
+    return [one.outcome for one in learn_queries(wanted, setting, rounds, study.executor)]
 
 
 # ---- tables ----------------------------------------------------------------------------------------------
 
 
-def _line(name: str, place: str, places: Sequence[Found], study: Study) -> str:
-    rows = [one for found in places for one in found.classes]
-    cells = [name, place, *(_shares(rows, len(places)) if rows else ["–", "–", "–", "100.0%"])]
+def _line(name: str, place: str, positions: Sequence[Found], study: Study) -> str:
+    rows = [one for found in positions for one in found.classes]
+    cells = [name, place, *(_shares(rows, len(positions)) if rows else ["–", "–", "–", "100.0%"])]
     if study.annotate:
-        labels = pooled(counts for found in places for counts in found.labels.values())
+        labels = pooled(counts for found in positions for counts in found.labels.values())
         cells += [f"{labels.f1:.3f}", f"{labels.f2:.3f}"]
     return f"| {' | '.join(cells)} |"
 
@@ -192,23 +192,23 @@ def _count(rows: Sequence[Measured]) -> str:
     return f"{hit}/{total} ({low:.2f}–{high:.2f})"
 
 
-def _by_class(name: str, places: dict[str, Found]) -> None:
+def _by_class(name: str, positions: dict[str, Found]) -> None:
     print(f"\n{name}: segments hit of all; in per cent the frames kept (the class's own)\n")
-    people = [place for place in places if place != "takes"]
-    heads = [*people, "all of them", *(place for place in places if place == "takes")]
-    labelled = [head for head in heads[len(people) :] if any(found.labels for found in places.values())]
+    people = [place for place in positions if place != "takes"]
+    heads = [*people, "all of them", *(place for place in positions if place == "takes")]
+    labelled = [head for head in heads[len(people) :] if any(found.labels for found in positions.values())]
     print(f"| class | {' | '.join([*heads, *(f'labels right, {head}' for head in labelled)])} |")
     print("|---" * (1 + len(heads) + len(labelled)) + "|")
-    for label in sorted({one.label for found in places.values() for one in found.classes}):
+    for label in sorted({one.label for found in positions.values() for one in found.classes}):
         cells = []
         for head in heads:
-            inside = [places[place] for place in (people if head == "all of them" else [head])]
+            inside = [positions[place] for place in (people if head == "all of them" else [head])]
             own = [one for found in inside for one in found.classes if one.label == label]
             kept, share = (np.mean([getattr(one, key) for one in own] or [0.0]) for key in ("kept_share", "own"))
             count = _count(own) if head == "all of them" else _count(own).split(" ")[0]
             cells.append(f"{count}, {kept:.0%} ({share:.0%})" if own else "–")
         for head in labelled:
-            inside = [places[place] for place in (people if head == "all of them" else [head])]
+            inside = [positions[place] for place in (people if head == "all of them" else [head])]
             counts = pooled(found.labels.get(label, Counts()) for found in inside)
             cells.append(f"{counts.segments_automatic_hit}/{counts.segments_automatic}")
         print(f"| {label} | {' | '.join(cells)} |")

@@ -29,7 +29,7 @@ from kinedex.ops.evaluation.detection import bootstrap
 from kinedex.ops.evaluation.metrics import Counts
 from kinedex.pipelines.engine.config import load_pipeline
 from kinedex.pipelines.engine.runner import run_pipeline
-from kinedex.pipelines.synth.archive import RECORD, write_archive
+from kinedex.pipelines.simulation.synthetic_archive import RECORD, write_archive
 from kinedex.storage.store.store import Store, open_store
 from kinedex.storage.store.writer import StoreWriter
 from studies import BUILD

@@ -21,7 +21,7 @@ from kinedex.catalog.features import FeatureSet
 from kinedex.catalog.queries.keyframe_query import KeyframeQuery
 from kinedex.catalog.queries.query_reader import parse_queries, read_queries
 from kinedex.ops.words import TakeWords, cut
-from kinedex.pipelines.search.search import search_store
+from kinedex.pipelines.keyframes.store_search import search_store
 from kinedex.storage.store.store import Store, open_store
 
 PRINTED_SHARE = {

@@ -30,8 +30,13 @@ from kinedex.pipelines.annotation.annotators import make_annotator
 from kinedex.pipelines.annotation.batches import annotate_stored
 from kinedex.pipelines.annotation.methods import annotation_method
 from kinedex.pipelines.engine.executors import Executor, make_executor
-from kinedex.pipelines.ranking.ranking_evaluation import clip_costs, judge_clips, mean_average_precision
-from kinedex.pipelines.templates.learning import SubclassTemplate, TrainingClips, learn_templates, training_clips
+from kinedex.pipelines.templates.ranking_evaluation import clip_costs, evaluate_clips, mean_average_precision
+from kinedex.pipelines.templates.template_learning import (
+    SubclassTemplate,
+    TrainingClips,
+    learn_templates,
+    training_clips,
+)
 from kinedex.storage.store.store import Store, open_store
 
 METHODS = ("thesis", "best")
@@ -88,7 +93,7 @@ def _copies(own: int, wanted: int) -> Iterator[tuple[int, int]]:
 @contextmanager
 def bound(most: int | None) -> Iterator[None]:
     """Let templates be averaged from so many clips at most; None: from all of them, every one a reference."""
-    with mock.patch.object(rules, "MOST_AVERAGED", most or 10**9):
+    with mock.patch.object(rules, "MAX_AVERAGED", most or 10**9):
         yield
 
 
@@ -107,7 +112,7 @@ def precision(store: Store, templates: Sequence[SubclassTemplate], takes: pl.Dat
     quantised = {one.subclass: quantise(one.learned.template, DELTA) for one in templates}
     costs = clip_costs(quantised, store.words(ranked["take_id"].to_list()))
     labels, names = ranked["class"].to_list(), ranked["name"].to_list()
-    return mean_average_precision([judge_clips("", one, costs[one], labels, names, TAU) for one in quantised])
+    return mean_average_precision([evaluate_clips("", one, costs[one], labels, names, TAU) for one in quantised])
 
 
 def labelled(
@@ -174,7 +179,7 @@ def main() -> None:
     executor = make_executor("serial", None)
     sizes = sorted(len(one.names) for one in clips)
     print(f"{sum(sizes)} clips of {len(sizes)} classes, {sizes[-1]} in the largest, soft and hard, on one core:")
-    for limit in (rules.MOST_AVERAGED, *([None] if given.whole else [])):
+    for limit in (rules.MAX_AVERAGED, *([None] if given.whole else [])):
         with bound(limit):
             _, took = learned(clips, ["soft", "hard"], len(store.feature_set.features), executor)
         print(f"averaged from {limit or 'all'}: {took:.1f} s", flush=True)

@@ -31,7 +31,7 @@ from kinedex.pipelines.annotation.annotators import make_annotator
 from kinedex.pipelines.annotation.batches import annotate_words
 from kinedex.pipelines.annotation.methods import annotation_method
 from kinedex.pipelines.engine.executors import Executor, make_executor
-from kinedex.pipelines.templates.learning import SubclassTemplate, TrainingClips, learn_templates
+from kinedex.pipelines.templates.template_learning import SubclassTemplate, TrainingClips, learn_templates
 from kinedex.storage.formats.labels.formats import read_labels
 from kinedex.storage.store.store import Store, open_store
 from studies.decoding import Clip, clips_of

@@ -27,13 +27,13 @@ from kinedex.ops.evaluation.metrics import Counts, compare, pooled
 from kinedex.ops.templates.derived_templates import restricted_template
 from kinedex.ops.templates.templates import QuantisedTemplate
 from kinedex.ops.words import TakeWords, bits, known_bits
+from kinedex.pipelines.annotation.annotation_setup import learned_queries
 from kinedex.pipelines.annotation.annotators import Annotator, make_annotator
 from kinedex.pipelines.annotation.batches import annotate_words
 from kinedex.pipelines.annotation.methods import ThesisMethod, annotation_method
-from kinedex.pipelines.annotation.preparation import learned_queries
 from kinedex.pipelines.evaluation.ground_truth import place_ground_truth
 from kinedex.pipelines.ingestion.analysis import analyse, known_features
-from kinedex.pipelines.templates.learning import read_templates
+from kinedex.pipelines.templates.template_learning import read_templates
 from kinedex.storage.formats.labels.formats import read_labels
 from kinedex.storage.formats.motion.reader import Body, ReadSettings
 from kinedex.storage.formats.motion.reader_table import read_body

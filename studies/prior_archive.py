@@ -18,7 +18,7 @@ from kinedex.ops.body.features import words as words_of
 from kinedex.ops.body.kinematic_chain import ChainBody, Poses, forward
 from kinedex.ops.body.kinematics import quaternions
 from kinedex.ops.body.pose_fit import fit_poses, measured_body
-from kinedex.ops.priors.archive_poses import Motion, clip_frames, pose_table
+from kinedex.ops.priors.archive_poses import PriorMotion, clip_frames, pose_table
 from kinedex.ops.priors.constraints import template_marks
 from kinedex.ops.templates.templates import learn_soft, quantise
 from studies.camera_set import CHAIN
@@ -67,7 +67,7 @@ def read_clips(folder: Path) -> list[Clip]:
     return found
 
 
-def motions_of(clips: Sequence[Clip], delta: float = DELTA, without: Collection[str] = ()) -> list[Motion]:
+def motions_of(clips: Sequence[Clip], delta: float = DELTA, without: Collection[str] = ()) -> list[PriorMotion]:
     """Return what an archive of clips knows of each class.
 
     Parameters
@@ -88,7 +88,9 @@ def motions_of(clips: Sequence[Clip], delta: float = DELTA, without: Collection[
         template = learn_soft([clip.words for clip in examples], len(FEATURES.features)).template
         quantised = quantise(template, delta)
         table = pose_table([clip.poses for clip in examples], [clip_frames(template, clip.words) for clip in examples])
-        found.append(Motion(one.name, quantised, table, template_marks(quantised, bits, one.locomotion, one.marks)))
+        found.append(
+            PriorMotion(one.name, quantised, table, template_marks(quantised, bits, one.locomotion, one.marks))
+        )
     return found
 
 

@@ -15,8 +15,8 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 
-from kinedex.ops.priors.archive_poses import Motion
-from kinedex.ops.priors.stabilise import Settings
+from kinedex.ops.priors.archive_poses import PriorMotion
+from kinedex.ops.priors.stabilisation import Settings
 from kinedex.ops.simulation.recording import Setup
 from kinedex.pipelines.evaluation.markdown import grid
 from studies.camera_set import CHAIN, NEVER, Filmed, filmed
@@ -118,7 +118,7 @@ def line(name: str, errors: Mapping[str, F64], without: Mapping[str, F64], recor
 
 def tried(
     choice: Choice, recordings: Sequence[Filmed], trackers: Mapping[str, RayTracker],
-    archives: Mapping[tuple[str, float], Sequence[Motion]],
+    archives: Mapping[tuple[str, float], Sequence[PriorMotion]],
 ) -> dict[str, F64]:  # fmt: skip
     """Return the errors of all frames of each recording with a choice of parameters."""
     return {
@@ -142,7 +142,7 @@ def main() -> None:
     without = {one.name: one.errors_mm(trackers[one.name].without.track.positions) for one in recordings}
     calm = recordings_of(clips, options.seed, Setup(failures=NEVER))
     floor = {one.name: one.errors_mm(tracker_of(one).without.track.positions) for one in calm}
-    archives: dict[tuple[str, float], Sequence[Motion]] = {}
+    archives: dict[tuple[str, float], Sequence[PriorMotion]] = {}
     print(f"{len(recordings)} takes, {sum(len(one.truth) for one in recordings)} frames\n")
     print("\n".join(grid(HEAD, [line("no priors", without, without, recordings)])[:-1]), flush=True)
     print(grid(HEAD, [line("no priors, if the detector never failed", floor, without, recordings)])[2], flush=True)

@@ -16,7 +16,7 @@ import numpy.typing as npt
 
 from kinedex.ops.body.kinematic_chain import ChainBody
 from kinedex.ops.body.pose_fit import measured_body
-from kinedex.ops.priors.archive_poses import Motion
+from kinedex.ops.priors.archive_poses import PriorMotion
 from kinedex.ops.simulation.recording import LONG, Setup
 from kinedex.ops.tracking.body_estimate import mean_body
 from kinedex.pipelines.evaluation.markdown import grid
@@ -62,7 +62,7 @@ PROTOTYPE = {
 HEAD = ["", "Ø", "σ", "max", "in failures", "elsewhere", "no class: Ø", "in failures", "ms a frame", "prototype"]
 
 
-def rows_of(recordings: Sequence[Filmed], unfailing: Sequence[Filmed], motions: Sequence[Motion]) -> Rows:
+def rows_of(recordings: Sequence[Filmed], unfailing: Sequence[Filmed], motions: Sequence[PriorMotion]) -> Rows:
     """Return the tracks of all methods, and those of the same recordings without failures."""
     found: Rows = {}
     for one, calm in zip(recordings, unfailing, strict=True):
@@ -149,7 +149,7 @@ def per_take(rows: Rows, recordings: Sequence[Filmed]) -> list[str]:
     return grid(["take", "frames", "no priors: Ø, in failures", "with priors", "worst frame", "with priors"], lines)
 
 
-def estimated(recordings: Sequence[Filmed], motions: Sequence[Motion], archive_mean: ChainBody) -> Rows:
+def estimated(recordings: Sequence[Filmed], motions: Sequence[PriorMotion], archive_mean: ChainBody) -> Rows:
     """Return the tracks with bone lengths that are estimated from each recording."""
     found: Rows = {}
     for one in recordings:
@@ -172,7 +172,7 @@ def section(title: str, lines: Sequence[str]) -> None:
 
 
 def compared(
-    title: str, recordings: Sequence[Filmed], unfailing: Sequence[Filmed], motions: Sequence[Motion],
+    title: str, recordings: Sequence[Filmed], unfailing: Sequence[Filmed], motions: Sequence[PriorMotion],
     prototype: Mapping[str, str],
 ) -> Rows:  # fmt: skip
     """Print the tables of a set of recordings; return its tracks."""

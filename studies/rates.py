@@ -27,8 +27,8 @@ def compare(store: Store, where: str, folder: Path) -> str:
     (folder / "trc").mkdir()
     joints = tuple(store.feature_set.joints)
     for name in names:
-        places = joint_positions(store.frames(name), joints).transpose(2, 0, 1)
-        write_trc(folder / "trc" / f"{name}.trc", JointMotion(name, joints, places, store.rate_hz))
+        positions = joint_positions(store.frames(name), joints).transpose(2, 0, 1)
+        write_trc(folder / "trc" / f"{name}.trc", JointMotion(name, joints, positions, store.rate_hz))
     run_pipeline("ingest", folder / "store", assignments={"source": str(folder / "trc")})
     again = open_store(folder / "store")
     frames = same = bits = 0

@@ -1,4 +1,4 @@
-"""The trackers of whole takes and of frames with the rays of a recording, as `ops.priors.stabilise` needs them."""
+"""The trackers of whole takes and of frames with the rays of a recording, as `ops.priors.stabilisation` needs them."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ import numpy as np
 import numpy.typing as npt
 
 from kinedex.ops.body.kinematic_chain import ChainBody, Poses
-from kinedex.ops.priors.stabilise import Track
+from kinedex.ops.priors.stabilisation import Track
 from kinedex.ops.tracking.contours import Observed
 from kinedex.ops.tracking.first_track import FirstTrack, first_track
 from kinedex.ops.tracking.observations import BodyPoints, PriorTerms, Rays

@@ -28,7 +28,7 @@ from kinedex.ops.templates.templates import quantise
 from kinedex.ops.words import NO_WORD, TakeWords, bits
 from kinedex.pipelines.annotation.methods import BestMethod, whole_takes, with_usual_values
 from kinedex.pipelines.annotation.single_examples import NOTHING, SingleExamples, usual_postures
-from kinedex.pipelines.templates.learning import TrainingClips, learned_of
+from kinedex.pipelines.templates.template_learning import TrainingClips, learn_template
 from kinedex.storage.store.store import Store, open_store
 from studies.explorer_person import bandai
 
@@ -145,17 +145,17 @@ class Person:
         for place, start, stop in (*self._positives, *self._negatives):
             own = self._takes.words.take(place)[start:stop]
             alone = TrainingClips(self._label, ("",), (own[own != NO_WORD],))
-            learned = learned_of(alone, "soft", self._takes.features).template
+            learned = learn_template(alone, "soft", self._takes.features).template
             templates.append(with_usual_values(learned, self._usual))
-        places = np.array([0] * len(self._positives) + [NOTHING] * len(self._negatives))
+        positions = np.array([0] * len(self._positives) + [NOTHING] * len(self._negatives))
         row = BestMethod(
             tuple(templates),
             tuple(quantise(one, 0.05) for one in templates),
-            np.where(places == NOTHING, 1, 0),
+            np.where(positions == NOTHING, 1, 0),
             self._usual,
             Decoding(),
         )
-        return SingleExamples(row, places).annotate(self._takes.words, [whole_takes(self._takes.words)])
+        return SingleExamples(row, positions).annotate(self._takes.words, [whole_takes(self._takes.words)])
 
     def decide(self, found: Sequence[Sequence[Segment]]) -> bool:
         """Decide on the takes of the smallest margin, then on those most like accepted ones; False if none is left."""
@@ -186,9 +186,9 @@ class Person:
         return found
 
 
-def scores(takes: Takes, label: str, found: Sequence[Sequence[Segment]], places: Iterable[int]) -> tuple[float, ...]:
+def scores(takes: Takes, label: str, found: Sequence[Sequence[Segment]], positions: Iterable[int]) -> tuple[float, ...]:
     """Return F, precision and recall of takes; one is found where anything in it is."""
-    pairs = [(bool(found[place]), takes.contents[place] == label) for place in places]
+    pairs = [(bool(found[place]), takes.contents[place] == label) for place in positions]
     both = sum(mine and true for mine, true in pairs)
     mine, true = (sum(side) for side in zip(*pairs, strict=True))
     precision, recall = both / mine if mine else 0.0, both / true if true else 0.0

@@ -20,11 +20,11 @@ import polars as pl
 import kinedex
 from kinedex.library.take import Take
 from kinedex.ops.errors import KinedexError
-from kinedex.ops.synth.body import cast
+from kinedex.ops.synth.body import draw_actor
 from kinedex.ops.synth.performance import perform_clip
 from kinedex.ops.synth.solve import columns
 from kinedex.pipelines.evaluation.markdown import grid
-from kinedex.pipelines.export.request import FORMS
+from kinedex.pipelines.export.request import FILE_FORMATS
 from kinedex.storage.formats.motion.acclaim_writer import Dialect, write_amc, write_asf
 from kinedex.storage.formats.motion.channel_cuts import SourceCut
 from kinedex.storage.formats.motion.joint_motion import JointMotion
@@ -82,7 +82,7 @@ def round_trips(source: Path, folder: Path) -> Iterator[RoundTrip]:
     take = kinedex.read(source)
     motion = JointMotion(take.name, take.joints, take.positions, take.rate_hz, take.words(), take.orientation)
     joints = Take.from_positions(take.positions, take.rate_hz, orientation=take.orientation)
-    for name, form in FORMS.items():
+    for name, form in FILE_FORMATS.items():
         if name in FILMS:
             continue
         paths = [folder / f"{name}.{ending}" for ending in form.endings]
@@ -111,31 +111,31 @@ def _compared(called: str, take: Take, at_rate: Take, paths: Sequence[Path]) -> 
     return RoundTrip(called, len(take), float(np.nanmax(apart)) * 1000, differ, differ_at_rate, size, others)
 
 
-def _others(path: Path, places: F32) -> Iterator[tuple[str, bool]]:
+def _others(path: Path, positions: F32) -> Iterator[tuple[str, bool]]:
     """Yield the libraries that read a file, and whether they find the places."""
     ending = path.suffix
     if ending == ".csv":
         table = pl.read_csv(path).select(pl.exclude("frame", "time")).to_numpy()
-        yield "polars", np.array_equal(table.astype(np.float32).reshape(places.shape), places, equal_nan=True)
+        yield "polars", np.array_equal(table.astype(np.float32).reshape(positions.shape), positions, equal_nan=True)
     if ending == ".parquet":
         structs = pl.read_parquet(path).select(pl.selectors.struct()).drop("root_orientation")
         found = np.stack([structs[name].struct.unnest().to_numpy() for name in structs.columns], axis=1)
-        yield "polars", np.array_equal(found, places, equal_nan=True)
+        yield "polars", np.array_equal(found, positions, equal_nan=True)
     if ending == ".npz":
-        yield "NumPy", np.array_equal(np.load(path)["positions"], places, equal_nan=True)
+        yield "NumPy", np.array_equal(np.load(path)["positions"], positions, equal_nan=True)
     if ending == ".c3d":
-        yield from _c3d_libraries(path, places)
+        yield from _c3d_libraries(path, positions)
     if ending == ".glb" and importlib.util.find_spec("pygltflib"):
-        yield "pygltflib", _gltf_root(path, places[:, 0])
+        yield "pygltflib", _gltf_root(path, positions[:, 0])
 
 
-def _c3d_libraries(path: Path, places: F32) -> Iterator[tuple[str, bool]]:
-    seen = np.isfinite(places).all(axis=2)
+def _c3d_libraries(path: Path, positions: F32) -> Iterator[tuple[str, bool]]:
+    seen = np.isfinite(positions).all(axis=2)
     if importlib.util.find_spec("ezc3d"):
         import ezc3d
 
         points = ezc3d.c3d(str(path))["data"]["points"][:3].transpose(2, 1, 0) / 1000
-        yield "ezc3d", np.allclose(points[seen], places[seen], rtol=0, atol=1e-6)
+        yield "ezc3d", np.allclose(points[seen], positions[seen], rtol=0, atol=1e-6)
     if importlib.util.find_spec("c3d"):
         import warnings
 
@@ -144,10 +144,10 @@ def _c3d_libraries(path: Path, places: F32) -> Iterator[tuple[str, bool]]:
         with path.open("rb") as file, warnings.catch_warnings():
             warnings.simplefilter("ignore")  # there are no analog samples
             points = np.array([row[:, :3] for _, row, _ in c3d.Reader(file).read_frames()]) / 1000
-        yield "py-c3d", np.allclose(points[seen], places[seen], rtol=0, atol=1e-6)
+        yield "py-c3d", np.allclose(points[seen], positions[seen], rtol=0, atol=1e-6)
 
 
-def _gltf_root(path: Path, places: F32) -> bool:
+def _gltf_root(path: Path, positions: F32) -> bool:
     """Return whether the library finds the places of the root."""
     import pygltflib
 
@@ -156,12 +156,12 @@ def _gltf_root(path: Path, places: F32) -> bool:
     channel = next(one for one in clip.channels if one.target.path == "translation" and one.target.node == 0)
     view = document.bufferViews[document.accessors[clip.samplers[channel.sampler].output].bufferView]
     data = document.binary_blob()[view.byteOffset : view.byteOffset + view.byteLength]
-    return np.array_equal(np.frombuffer(data, "<f4").reshape(-1, 3), places)
+    return np.array_equal(np.frombuffer(data, "<f4").reshape(-1, 3), positions)
 
 
 def synthetic(folder: Path) -> list[Path]:
     """Write the synthetic takes as AMC files with their skeleton."""
-    actor = cast(4, 9)
+    actor = draw_actor(4, 9)
     write_asf(folder / "synthetic.asf", actor.body, "synthetic", Dialect())
     paths = []
     for name in SYNTHETIC:

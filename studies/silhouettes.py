@@ -27,9 +27,9 @@ from kinedex.ops.body.capsules import Capsules, body_capsules
 from kinedex.ops.body.kinematic_chain import ChainBody, Poses
 from kinedex.ops.body.pose_fit import fit_poses, measured_body
 from kinedex.ops.priors.allocation import POSE
-from kinedex.ops.priors.archive_poses import Motion
+from kinedex.ops.priors.archive_poses import PriorMotion
 from kinedex.ops.priors.constraints import template_marks
-from kinedex.ops.priors.stabilise import LOGICAL, Settings, stabilise
+from kinedex.ops.priors.stabilisation import LOGICAL, Settings, stabilise
 from kinedex.ops.simulation.recording import CameraRing, ring_of_cameras
 from kinedex.ops.templates.templates import quantise
 from kinedex.ops.tracking.contours import Observed, Silhouettes
@@ -86,7 +86,7 @@ def dark_cameras(frames: int, cameras: int, generator: np.random.Generator) -> B
 
 @dataclass(frozen=True, eq=False)
 class FrameTracker:
-    """A tracker of single frames on silhouettes alone, for rounds of priors; see `ops.priors.stabilise.Tracker`."""
+    """A tracker of single frames on silhouettes alone, for rounds of priors; see `ops.priors.stabilisation.Tracker`."""
 
     body: ChainBody
     first: Poses
@@ -147,10 +147,10 @@ def joined(data: Path, seed: int, actor: str) -> Iterator[tuple[str, F64, FrameT
         takes = clips_of(data, name, [actor])[:3]
         parts = [take.positions[:, [take.joints.index(joint) for joint in CHAIN.joints]] for take in takes]
         joints = np.ascontiguousarray(join(parts).transpose(1, 2, 0), np.float64)
-        turns, moves = ring_of_cameras(ring, joints[0].T, 0.0, generator)
+        rotations, moves = ring_of_cameras(ring, joints[0].T, 0.0, generator)
         views = tuple(
             camera_view(ring.matrix, turn, move, [], ring.size, MASK_SIZE)
-            for turn, move in zip(turns, moves, strict=True)
+            for turn, move in zip(rotations, moves, strict=True)
         )
         yield f"{actor} {name}", joints, tracker_of(joints, views, generator)
 
@@ -171,14 +171,14 @@ def join(clips: Sequence[F64], fade: int = 10) -> F64:
     return whole
 
 
-def motions_of(data: Path, actors: Sequence[str]) -> list[Motion]:
+def motions_of(data: Path, actors: Sequence[str]) -> list[PriorMotion]:
     """Return what the archive knows of all classes, without poses: templates and marked regions."""
     bits = {feature.name: bit for bit, feature in enumerate(load_feature_set("body40").features)}
     motions = []
     for folder in sorted(path.name for path in (data / "hdm05" / "clips").iterdir() if path.is_dir()):
         template = kinedex.Template.learn(clips_of(data, folder, actors), name=folder)
         quantised = quantise(template.learned.learned.template, DELTA)
-        motions.append(Motion(folder, quantised, None, template_marks(quantised, bits, folder in LOCOMOTION)))
+        motions.append(PriorMotion(folder, quantised, None, template_marks(quantised, bits, folder in LOCOMOTION)))
     return motions
 
 
@@ -193,7 +193,9 @@ def errors_mm(track: FrameTrack, joints: F64) -> F64:
     return 1000 * np.sqrt((apart**2).sum(axis=1)).mean(axis=0)
 
 
-def rounds(tracker: FrameTracker, motions: Sequence[Motion], kinds: tuple[str, ...], guard: float) -> list[FrameTrack]:
+def rounds(
+    tracker: FrameTracker, motions: Sequence[PriorMotion], kinds: tuple[str, ...], guard: float
+) -> list[FrameTrack]:
     """Return the track without priors and those after each round."""
     tracks: list[FrameTrack] = []
 

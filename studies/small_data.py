@@ -34,7 +34,7 @@ CMU_FRAMES = 600
 CMU_WHOLE = "01_01"
 """A take of CMU that is kept whole, as what follows its first jumps is judged."""
 
-MOST_FRAMES = 1_000_000
+MAX_FRAMES = 1_000_000
 CONTENT_FILES = 12
 """Files of each content of each data set of Bandai; contents with fewer are left out."""
 
@@ -81,7 +81,7 @@ def _hdm05(data: Path, folder: Path) -> None:
 
 def _cmu(data: Path, folder: Path) -> None:
     frames = {
-        file: MOST_FRAMES if file.stem == CMU_WHOLE else CMU_FRAMES
+        file: MAX_FRAMES if file.stem == CMU_WHOLE else CMU_FRAMES
         for file in sorted((data / "cmu").glob("[0-9]*/*.amc"))
     }
     for file, most in frames.items():

@@ -18,7 +18,7 @@ from studies.small_data import cut
 
 ROOT = Path(__file__).resolve().parents[1]
 FORMS = Path(__file__).with_name("small_forms.yaml")
-MOST_SECONDS = 300.0
+MAX_SECONDS = 300.0
 """A study that takes longer fails: its small form is not small."""
 
 
@@ -148,9 +148,9 @@ class Bench:
 
 def ran(words: Sequence[str], environment: Mapping[str, str], codes: Sequence[int]) -> str:
     """Run a program; return "ok", or what is wrong with the end of its output."""
-    ended = run_bounded(words, ROOT, environment, MOST_SECONDS)
+    ended = run_bounded(words, ROOT, environment, MAX_SECONDS)
     if ended.code is None:
-        return f"took longer than {MOST_SECONDS:g} s"
+        return f"took longer than {MAX_SECONDS:g} s"
     if ended.code not in codes:
         return ended.problem(f"exit code {ended.code}")
     return "ok" if ended.output.strip() else "printed nothing"

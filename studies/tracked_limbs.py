@@ -27,13 +27,13 @@ from kinedex.catalog.limbs import LIMB_NAMES
 from kinedex.console.terminal import Terminal
 from kinedex.ops.body import kinematics
 from kinedex.ops.body.kinematic_chain import ChainBody, forward
-from kinedex.ops.inertial.disagreement import direction_errors, errors, mount_direction
+from kinedex.ops.inertial.disagreement import direction_errors, frame_errors, mount_direction
 from kinedex.ops.inertial.limb_orientation import NONE, long_axis
 from kinedex.ops.inertial.rotations import conjugate, distance_deg, interpolate, multiply
 from kinedex.pipelines.evaluation.markdown import grid
 from kinedex.pipelines.inertial.limb_motion import LimbMotion, TakeLimbs
-from kinedex.pipelines.inertial.limb_sources import limb_tasks, read_limbs, with_stored_body
-from kinedex.pipelines.simulation.camera_recordings import RECORDINGS, Request, simulate_cameras
+from kinedex.pipelines.inertial.source_limbs import limb_tasks, read_limbs, with_stored_body
+from kinedex.pipelines.simulation.simulated_cameras import RECORDINGS, CameraRequest, simulate_cameras
 from kinedex.pipelines.tracking.tracked_takes import stored_poses
 from kinedex.storage.store.store import Store, open_store
 
@@ -64,7 +64,7 @@ def tracked(data: Path, folder: Path) -> Store:
             shutil.copy(file, folder / "takes")
     kinedex.run_pipeline("ingest", folder / "store", {"source": str(folder / "takes")})
     progress = Terminal(Console(file=io.StringIO())).progress
-    request = Request(TAKES, seed=SEED)
+    request = CameraRequest(TAKES, seed=SEED)
     simulate_cameras(open_store(folder / "store", at="newest"), request, folder / "filmed", progress)
     kinedex.run_pipeline("track", folder / "store", {"recordings": str(folder / "filmed" / RECORDINGS)})
     return open_store(folder / "store", at="newest")
@@ -95,7 +95,7 @@ def compared(times: F64, orientation: F64, truth: LimbMotion) -> F64:
         apart = distance_deg(np.broadcast_to(mount, between.shape), between)
         weights = (ROBUST_DEG**2 / (ROBUST_DEG**2 + apart**2)) ** 2
     axis = long_axis(truth.orientation, truth.direction)
-    found = errors(true[good], multiply(orientation[good], mount), IDENTITY, IDENTITY, axis)
+    found = frame_errors(true[good], multiply(orientation[good], mount), IDENTITY, IDENTITY, axis)
     return np.stack([found.degrees, found.twist], axis=1)
 
 

@@ -10,8 +10,8 @@ import numpy as np
 import numpy.typing as npt
 
 from kinedex.ops.body.kinematic_chain import ChainBody
-from kinedex.ops.priors.archive_poses import Motion
-from kinedex.ops.priors.stabilise import Settings, StabilisedTrack, stabilise
+from kinedex.ops.priors.archive_poses import PriorMotion
+from kinedex.ops.priors.stabilisation import Settings, StabilisedTrack, stabilise
 from kinedex.ops.tracking.body_estimate import estimate_body
 from kinedex.ops.tracking.triangulation import triangulate
 from studies.camera_set import CHAIN, KEYPOINTS, Filmed
@@ -87,13 +87,15 @@ def tracker_of(one: Filmed, body: ChainBody | None = None) -> RayTracker:
     return RayTracker(chosen, KEYPOINTS.body_points(KEYPOINTS.order, chosen), one.rays, one.rate_hz)
 
 
-def stabilised(tracker: RayTracker, motions: Sequence[Motion], settings: Settings) -> StabilisedTrack:
+def stabilised(tracker: RayTracker, motions: Sequence[PriorMotion], settings: Settings) -> StabilisedTrack:
     """Stabilise the track of a recording."""
     words = lambda track: track_words(tracker.body, track.poses, tracker.rate_hz)  # noqa: E731
     return stabilise(tracker, tracker.without.track, words, motions, settings)
 
 
-def body_rows(one: Filmed, tracker: RayTracker, motions: Sequence[Motion], rounds: Sequence[int]) -> dict[str, Tracked]:
+def body_rows(
+    one: Filmed, tracker: RayTracker, motions: Sequence[PriorMotion], rounds: Sequence[int]
+) -> dict[str, Tracked]:
     """Return the tracks of the body, without priors and with them."""
     begin = time.perf_counter()
     first = tracker.without

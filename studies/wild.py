@@ -23,12 +23,12 @@ from rich.console import Console
 from rich.table import Table
 
 from kinedex.catalog.features import load_feature_set
-from kinedex.catalog.skeletons.evidence import Evidence
+from kinedex.catalog.skeletons.body_evidence import Evidence
 from kinedex.catalog.skeletons.mappings import Fit, Format, Mappings, load_mappings
 from kinedex.ops.body import features
 from kinedex.ops.errors import KinedexError
-from kinedex.pipelines.ingestion.analysis import judged, known_features
-from kinedex.pipelines.synth.archive import write_archive
+from kinedex.pipelines.ingestion.analysis import known_features, measured_quality
+from kinedex.pipelines.simulation.synthetic_archive import write_archive
 from kinedex.storage.formats.motion.reader import DEFAULT_SETTINGS, Body, MotionFile
 from kinedex.storage.formats.motion.reader_table import reader_of
 from kinedex.storage.formats.motion.sources import scan
@@ -88,7 +88,7 @@ def census(folder: Path, mappings: Mappings, console: Console) -> None:
             persons = ("",)
         for person in persons:
             outcome = read(motion.absolute, mappings, skeleton, person)
-            doubts = judged(outcome.body, FEATURES.joints, ())[1] if outcome.body else []
+            doubts = measured_quality(outcome.body, FEATURES.joints, ())[1] if outcome.body else []
             table.add_row(*_row(motion.path + (f" [{person}]" if person else ""), outcome, doubts))
             dialect = outcome.body.skeleton if outcome.body else "refused"
             sums[motion.format, dialect] += 1

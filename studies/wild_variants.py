@@ -173,20 +173,22 @@ def variant(skeleton: Skeleton, nodes: dict[str, int], actor: Actor, turn: F64) 
         _take_end(skeleton, nodes, f"{side}wrist", f"{side}fingers")
     _take_end(skeleton, nodes, "head", "headtop")
     wanted = _targets(skeleton, nodes, actor)
-    places, turns, offsets = _moved(skeleton, wanted, actor)
-    truth, own = _truth(skeleton, nodes, places, actor)
+    positions, rotations, offsets = _moved(skeleton, wanted, actor)
+    truth, own = _truth(skeleton, nodes, positions, actor)
     unit_m = _unit(skeleton, offsets)
-    text = _text(skeleton, offsets @ turn.T / unit_m, turn @ places[0] / unit_m, turn @ turns @ turn.T, actor.rate_hz)
+    text = _text(
+        skeleton, offsets @ turn.T / unit_m, turn @ positions[0] / unit_m, turn @ rotations @ turn.T, actor.rate_hz
+    )
     return Variant(text, truth, own, unknown)
 
 
 def sliding(skeleton: Skeleton) -> str:
     """Return the BVH text of a skeleton that slides ahead in its rest pose for two seconds, for bodies of no human."""
     frames = 60
-    turns = np.broadcast_to(np.eye(3), (len(skeleton.names), frames, 3, 3))
+    rotations = np.broadcast_to(np.eye(3), (len(skeleton.names), frames, 3, 3))
     root = np.zeros((3, frames))
     root[2] = np.linspace(0.0, float(np.abs(skeleton.offsets).max()), frames)
-    return _text(skeleton, skeleton.offsets, root, turns, 30.0)
+    return _text(skeleton, skeleton.offsets, root, rotations, 30.0)
 
 
 def _lacking(nodes: dict[str, int]) -> set[str]:
@@ -276,21 +278,21 @@ def _moved(skeleton: Skeleton, wanted: dict[int, F64], actor: Actor) -> tuple[F6
     frames = actor.orientation.shape[1]
     count = len(skeleton.names)
     scale = _scale(skeleton, wanted)
-    offsets, turns, places = np.zeros((count, 3)), np.zeros((count, frames, 3, 3)), np.zeros((count, 3, frames))
+    offsets, rotations, positions = np.zeros((count, 3)), np.zeros((count, frames, 3, 3)), np.zeros((count, 3, frames))
     for node, parent in enumerate(skeleton.parents):
         if parent < 0:
-            places[node] = wanted.get(node, next(iter(wanted.values())))
+            positions[node] = wanted.get(node, next(iter(wanted.values())))
         else:
             offset = skeleton.offsets[node] * scale
             if node in wanted and parent in wanted and np.any(offset):
                 length = float(np.linalg.norm(wanted[node] - wanted[parent], axis=0).mean())
                 offset = offset / np.linalg.norm(offset) * length
             offsets[node] = offset
-            places[node] = places[parent] + np.einsum("tab,b->at", turns[parent], offset)
-        above = turns[parent] if parent >= 0 else np.broadcast_to(np.eye(3), (frames, 3, 3))
+            positions[node] = positions[parent] + np.einsum("tab,b->at", rotations[parent], offset)
+        above = rotations[parent] if parent >= 0 else np.broadcast_to(np.eye(3), (frames, 3, 3))
         arms = [i for i in _children(skeleton, node) if i in wanted and node in wanted and np.any(skeleton.offsets[i])]
-        turns[node] = _turn([skeleton.offsets[i] for i in arms], [wanted[i] - wanted[node] for i in arms], above)
-    return places, turns, offsets
+        rotations[node] = _turn([skeleton.offsets[i] for i in arms], [wanted[i] - wanted[node] for i in arms], above)
+    return positions, rotations, offsets
 
 
 def _scale(skeleton: Skeleton, wanted: dict[int, F64]) -> float:
@@ -330,10 +332,10 @@ def _shortest(a: F64, b: F64) -> F64:
 
 
 def _truth(
-    skeleton: Skeleton, nodes: dict[str, int], places: F64, actor: Actor
+    skeleton: Skeleton, nodes: dict[str, int], positions: F64, actor: Actor
 ) -> tuple[dict[str, F64], frozenset[str]]:
     """Return the true joints, and those with a node: others keep the actor's place beside their neighbour."""
-    truth = {joint: places[node] for joint, node in nodes.items() if not joint.endswith(("ball", "clavicle"))}
+    truth = {joint: positions[node] for joint, node in nodes.items() if not joint.endswith(("ball", "clavicle"))}
     own = set(truth)
     line = [actor.joints[joint] for joint in (*_SPINE, "head")]
     lengths = [float(np.linalg.norm(b - a, axis=0).mean()) for a, b in pairwise(line)]
@@ -343,7 +345,7 @@ def _truth(
         whole = sum(lengths[:3]) if end == "neck" else sum(lengths)
         for joint, far in zip(("belly", "chest", "neck"), np.cumsum(lengths[:3]), strict=True):
             if path and joint not in truth:
-                truth[joint] = along([places[node] for node in path], float(far) / whole)
+                truth[joint] = along([positions[node] for node in path], float(far) / whole)
                 own.add(joint)
     beside = {"neck": "root", "belly": "root", "chest": "root", "head": "neck", "headtop": "head"}
     for side in "lr":
@@ -362,7 +364,7 @@ def _unit(skeleton: Skeleton, offsets: F64) -> float:
     return min(UNITS_M, key=lambda unit: abs(np.log(ours / unit / theirs)))
 
 
-def _text(skeleton: Skeleton, offsets: F64, root: F64, turns: F64, rate_hz: float) -> str:
+def _text(skeleton: Skeleton, offsets: F64, root: F64, rotations: F64, rate_hz: float) -> str:
     lines = ["HIERARCHY"]
     columns: list[F64] = []
     frames = root.shape[1]
@@ -377,9 +379,9 @@ def _text(skeleton: Skeleton, offsets: F64, root: F64, turns: F64, rate_hz: floa
         lines.append(f"{pad}\tOFFSET {numbers}")
         names = skeleton.channels[node]
         lines.append(f"{pad}\tCHANNELS {len(names)} {' '.join(names)}".rstrip())
-        above = turns[parent] if parent >= 0 else np.broadcast_to(np.eye(3), (frames, 3, 3))
+        above = rotations[parent] if parent >= 0 else np.broadcast_to(np.eye(3), (frames, 3, 3))
         place = root if parent < 0 else np.repeat(offsets[node][:, None], frames, axis=1)
-        columns.extend(_channels(names, place, np.swapaxes(above, 1, 2) @ turns[node]))
+        columns.extend(_channels(names, place, np.swapaxes(above, 1, 2) @ rotations[node]))
         for child in _children(skeleton, node):
             describe(child, depth + 1)
         lines.append(f"{pad}}}")
@@ -403,11 +405,11 @@ def _channels(names: Sequence[str], place: F64, turn: F64) -> list[F64]:
     return found
 
 
-def euler_angles(turns: F64, order: Sequence[int]) -> tuple[F64, F64, F64]:
-    """Return the angles (T,) in radians whose rotations about three axes, multiplied in order, are `turns`."""
+def euler_angles(rotations: F64, order: Sequence[int]) -> tuple[F64, F64, F64]:
+    """Return the angles (T,) in radians whose rotations about three axes, multiplied in order, are `rotations`."""
     i, j, k = order
     sign = 1.0 if (j - i) % 3 == 1 else -1.0
-    middle = np.arcsin(np.clip(sign * turns[:, i, k], -1.0, 1.0))
-    first = np.arctan2(-sign * turns[:, j, k], turns[:, k, k])
-    last = np.arctan2(-sign * turns[:, i, j], turns[:, i, i])
+    middle = np.arcsin(np.clip(sign * rotations[:, i, k], -1.0, 1.0))
+    first = np.arctan2(-sign * rotations[:, j, k], rotations[:, k, k])
+    last = np.arctan2(-sign * rotations[:, i, j], rotations[:, i, i])
     return first, middle, last

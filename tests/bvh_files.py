@@ -113,10 +113,10 @@ def dance(root: Joint, frames: int, seed: int = 0) -> list[dict[str, list[float]
     moving = still(root, frames)
     for t, frame in enumerate(moving):
         for joint in root.all():
-            turns = 30.0 * np.sin(phases[joint.name] + 0.1 * t)
+            rotations = 30.0 * np.sin(phases[joint.name] + 0.1 * t)
             for i, name in enumerate(joint.channels):
                 if name not in POSITIONS:
-                    frame[joint.name][i] = round(float(turns[i]), 4)
+                    frame[joint.name][i] = round(float(rotations[i]), 4)
     return moving
 
 

@@ -79,10 +79,10 @@ class Builder:
         self.link(layer, stack)
         times = np.array([round(TICKS * t / rate_hz) for t in range(len(motion))])
         for joint in root.all():
-            turns = {
+            rotations = {
                 c[0]: [f[joint.name][i] for f in motion] for i, c in enumerate(joint.channels) if c not in POSITIONS
             }
-            self.curves(layer, bones[joint.name], "Lcl Rotation", times, turns)
+            self.curves(layer, bones[joint.name], "Lcl Rotation", times, rotations)
         moved = {axis: [frame[root.name][i] for frame in motion] for i, axis in enumerate("XYZ")}
         self.curves(layer, bones[root.name], "Lcl Translation", times, moved)
         return layer

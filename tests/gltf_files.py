@@ -67,8 +67,8 @@ class Builder:
         times = self.accessor(np.arange(len(motion)) / rate_hz)
         clip: dict[str, Any] = {"name": name, "channels": [], "samplers": []}
         for joint in root.all():
-            turns = np.array([quaternion(joint, frame[joint.name]) for frame in motion])
-            self.channel(clip, places[joint.name], "rotation", times, self.accessor(turns))
+            rotations = np.array([quaternion(joint, frame[joint.name]) for frame in motion])
+            self.channel(clip, places[joint.name], "rotation", times, self.accessor(rotations))
         moved = np.array([[frame[root.name][i] for i in range(3)] for frame in motion]) * scale
         self.channel(clip, places[root.name], "translation", times, self.accessor(moved))
         self.json.setdefault("animations", []).append(clip)

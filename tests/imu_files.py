@@ -78,16 +78,16 @@ def write_parquet(path: Path, sensors: dict[str, Samples]) -> Path:
 
 
 def mtmanager_text(
-    samples: Samples, *, first: int = 10, separator: str = "\t", turns: str = "mat", head: str = ""
+    samples: Samples, *, first: int = 10, separator: str = "\t", rotations: str = "mat", head: str = ""
 ) -> str:
     """An export of MT Manager, with matrices, quaternions or Euler angles."""
     head = head or f"// Start Time: Unknown\n// Update Rate: {samples.rate_hz:.1f}Hz\n// Firmware Version: 4.0.2\n"
     header = ["PacketCounter", "SampleTimeFine", *(f"{name}_{axis}" for name in ("Acc", "Gyr") for axis in "XYZ")]
     parts = [samples.acc, samples.gyr]
-    if turns == "mat":
+    if rotations == "mat":
         header += [f"Mat[{row}][{column}]" for column in (1, 2, 3) for row in (1, 2, 3)]
         parts.append(matrix(samples.orientation).transpose(0, 2, 1).reshape(-1, 9))
-    elif turns == "quat":
+    elif rotations == "quat":
         header += ["Quat_q0", "Quat_q1", "Quat_q2", "Quat_q3"]
         parts.append(samples.orientation)
     else:

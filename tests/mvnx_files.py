@@ -96,8 +96,8 @@ def subject_text(
     """A subject with the three poses of calibration before its frames; `more` stands in every frame."""
     still = f"<orientation>{numbers(orientations[0])}</orientation><position>{numbers(0 * positions[0])}</position>"
     lines = [f'<frame time="0" type="{kind}">{still}</frame>' for kind in ("identity", "tpose", "tpose-isb")]
-    for t, (places, turns) in enumerate(zip(positions, orientations, strict=True)):
-        fields = f"<orientation>{numbers(turns)}</orientation><position>{numbers(places)}</position>{more}"
+    for t, (places, rotations) in enumerate(zip(positions, orientations, strict=True)):
+        fields = f"<orientation>{numbers(rotations)}</orientation><position>{numbers(places)}</position>{more}"
         lines.append(f'<frame time="{t * 17}" index="{t}" tc="0" ms="{t}" type="normal">{fields}</frame>')
     segments = "".join(segment_text(name) for name in SEGMENTS)
     return (

@@ -59,8 +59,8 @@ def _transform(kind: str, names: Sequence[str], version: int) -> str:
         parts = [("z", _linear(), names[0]), ("x", still, ""), ("y", still, "")]
         parts += [("x", shift, names[0]), ("y", lift, names[0]), ("z", still, "")]
     else:
-        turns = [(axis, _linear(), name) for axis, name in zip("zxy", names[:3], strict=True)]
-        parts = [*turns, *((axis, _linear(), name) for axis, name in zip("xyz", names[3:], strict=False))]
+        rotations = [(axis, _linear(), name) for axis, name in zip("zxy", names[:3], strict=True)]
+        parts = [*rotations, *((axis, _linear(), name) for axis, name in zip("xyz", names[3:], strict=False))]
         parts += [(axis, still, "") for axis in "xyz"[len(parts) - 3 :]]
     titles = [f"{what}{i}" for what in ("rotation", "translation") for i in (1, 2, 3)]
     axes = [_axis(t, unit[a], f, c, version) for t, (a, f, c) in zip(titles, parts, strict=True)]

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from kinedex.catalog.skeletons.evidence import Evidence
+from kinedex.catalog.skeletons.body_evidence import Evidence
 
 F64 = npt.NDArray[np.float64]
 
@@ -308,17 +308,17 @@ def evidence_of(
     angles = np.cumsum(random.normal(0, 0.08, (frames, len(names), 3)), axis=0)
     angles[0] = 0
     places = np.zeros((len(names), 3, frames))
-    turns = np.zeros((len(names), frames, 3, 3))
+    rotations = np.zeros((len(names), frames, 3, 3))
     for i, parent in enumerate(parents):
         own = _rotations(angles[:, i] * (0.3 if codes[i][1] in ("root", "floor") or codes[i][1][0] == "s" else 1.0))
         if parent < 0:
-            turns[i], places[i] = (
+            rotations[i], places[i] = (
                 own,
                 rest[i][:, None] + np.cumsum(random.normal(0, 0.02, (3, frames)) * [[1], [0.1], [1]], 1),
             )
         else:
-            turns[i] = turns[parent] @ own
-            places[i] = places[parent] + (turns[parent] @ (rest[i] - rest[parent])).T
+            rotations[i] = rotations[parent] @ own
+            places[i] = places[parent] + (rotations[parent] @ (rest[i] - rest[parent])).T
     turn = np.eye(3) if turn is None else turn
     rest, places = rest @ turn.T, np.einsum("ab,ibk->iak", turn, places)
     truth = {

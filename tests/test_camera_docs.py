@@ -7,10 +7,10 @@ from pathlib import Path
 
 import pytest
 
+from kinedex.catalog.camera_recordings import CameraRecording, parse_recordings
 from kinedex.catalog.configs import config_names, parse_yaml
 from kinedex.catalog.keypoint_sets import load_keypoint_set, parse_keypoint_set
 from kinedex.catalog.kinematics import load_kinematic_chain
-from kinedex.catalog.recordings import CameraRecording, parse_recordings
 from kinedex.storage.formats.cameras.calibrations import in_metres, read_calibration
 from kinedex.storage.formats.cameras.keypoint_tables import read_keypoint_table
 
@@ -47,5 +47,5 @@ def test_the_table_is_one(tmp_path: Path) -> None:
 
 def test_the_keypoint_set_is_one_and_all_shipped_ones_are_named() -> None:
     found = parse_keypoint_set(parse_yaml(example("yaml", 1), "own.yaml"), load_kinematic_chain())
-    assert list(found.places) == list(found.order)
+    assert list(found.positions) == list(found.order)
     assert all(f"`{name}`" in PAGE for name in config_names("keypoints") if load_keypoint_set(name).by_count)

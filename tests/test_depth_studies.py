@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from kinedex.ops.body.joint_tree import JOINTS
-from kinedex.ops.depth.pose_database import bone_lengths_of
 from kinedex.ops.depth.pose_distance import END_EFFECTORS, are_ends_found
+from kinedex.ops.depth.thinned_poses import bone_lengths_of
 from studies import depth_set
 from studies.depth import BOTH, FORWARD, METHODS, OWN, PROTOTYPE, aims, cell, class_table, table
 from studies.depth_rows import Tracked, both_ways, errors_cm

@@ -12,8 +12,8 @@ import pytest
 import kinedex
 from kinedex.catalog.queries.keyframe_query import Keyframe, KeyframeQuery
 from kinedex.explorer.hits import shown_hits
-from kinedex.pipelines.ranking.store_ranking import RankingQuestion, rank_store
-from kinedex.pipelines.search.search import save_hits, search_store
+from kinedex.pipelines.keyframes.store_search import save_hits, search_store
+from kinedex.pipelines.templates.store_ranking import RankingQuestion, rank_store
 from kinedex.pipelines.templates.stored_templates import template_from_clip
 from kinedex.storage.index.builder import build_index
 from kinedex.storage.snapshot.schemas import hits_of, ranking_schema, result_schema

@@ -14,10 +14,10 @@ import yaml
 from typer.testing import CliRunner
 
 import kinedex
+from kinedex.catalog.camera_recordings import load_recordings
 from kinedex.catalog.configs import parse_yaml
 from kinedex.catalog.depth_recordings import load_depth_recordings
 from kinedex.catalog.queries.query_reader import referred_path
-from kinedex.catalog.recordings import load_recordings
 from kinedex.commands.app import COMMON_OPTIONS, NO_PATHS
 from kinedex.commands.cli import app
 from kinedex.ops.errors import ConfigError, KinedexError, SourceError

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from kinedex.pipelines.templates.learning import TrainingClips, training_clips
+from kinedex.pipelines.templates.template_learning import TrainingClips, training_clips
 from kinedex.storage.store.store import open_store
 from studies import many_clips
 from tests.pipelines.labelled import clip, write_store

@@ -19,8 +19,8 @@ ROOT = Path(__file__).resolve().parents[1]
 README = (ROOT / "README.md").read_text(encoding="utf-8")
 SQL = (ROOT / "docs" / "sql.md").read_text(encoding="utf-8")
 STATEMENTS = re.findall(r'kinedex sql build/demo-store "([^"]+)"', README + SQL)
-MOST_WORDS = 900
-MOST_BYTES = 200_000
+MAX_WORDS = 900
+MAX_BYTES = 200_000
 
 
 @pytest.fixture(scope="module")
@@ -42,13 +42,13 @@ def test_the_page_of_sql_has_its_five_minutes() -> None:
 
 
 def test_the_readme_is_short() -> None:
-    assert len(README.split()) <= MOST_WORDS
+    assert len(README.split()) <= MAX_WORDS
 
 
 def test_the_pictures_of_the_readme_are_small() -> None:
     pictures = re.findall(r"!\[[^]]+\]\(([^)]+)\)", README)
     assert len(pictures) == 2
-    assert all((ROOT / picture).stat().st_size <= MOST_BYTES for picture in pictures)
+    assert all((ROOT / picture).stat().st_size <= MAX_BYTES for picture in pictures)
 
 
 def test_the_query_of_the_readme_is_shipped() -> None:

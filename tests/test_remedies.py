@@ -29,7 +29,7 @@ WITHOUT = {
     "ReadOnlyError": "an explorer was started with --read-only; the message names the option",
     "NotFoundError": "an address of the explorer names a take that is not there",
     "ConflictError": "what a page shows is not what is there any more; the message tells what to read again",
-    "WithdrawnError": "nobody reads it: who asked has gone",
+    "CancelledWorkError": "nobody reads it: who asked has gone",
     "WorkerDied": "a task needs more memory than there is; the message names the option",
 }
 """Classes whose errors have no remedy of their own: the message itself is the way out."""
@@ -40,7 +40,8 @@ WITH = {
     "Unreadable": "turned into an error with `kinedex repair` by the connection of the store",
     "StageFailed": "the remedy of the fault that stopped the stage",
 }
-"""Classes whose errors have a remedy where there is one; tests/pipelines/test_repair.py runs the commands."""
+"""Classes whose errors have a remedy where there is one; tests/pipelines/ingestion/test_store_repair.py runs the
+commands."""
 
 
 def classes(of: type[KinedexError] = KinedexError) -> set[type[KinedexError]]:

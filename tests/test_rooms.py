@@ -23,7 +23,7 @@ OWN = ("console", "library", "commands")
 TERMINAL = ("console", "commands")
 """The rooms that print, and that know how a terminal looks."""
 
-PROGRAMS = {"storage/formats/imu/hdf5_child.py", "explorer/waiting_command.py"}
+PROGRAMS = {"storage/formats/imu/hdf5_child.py", "explorer/warm_process_main.py"}
 """Programs of their own: one prints for the process that started it, the other becomes a command."""
 
 
@@ -207,8 +207,8 @@ FORMS = {
     "Interval": "ops/intervals.py",
     "TakeSegment": "ops/intervals.py",
     "Segment": "ops/annotation/segments.py",
-    "Label": "storage/formats/labels/segments.py",
-    "ManualSegment": "storage/formats/labels/segments.py",
+    "Label": "storage/formats/labels/file_labels.py",
+    "ManualSegment": "storage/formats/labels/file_labels.py",
 }
 """The forms of an interval, a segment and a label, and their homes (docs/architecture.md)."""
 

@@ -4,15 +4,15 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from kinedex.pipelines.export.request import FORMS
+from kinedex.pipelines.export.request import FILE_FORMATS
 from studies.round_trips import FILMS, round_trips, synthetic, table
 
 
 def test_every_form_comes_back(tmp_path: Path) -> None:
     found = list(round_trips(synthetic(tmp_path)[2], tmp_path))
-    assert {one.form.partition(",")[0] for one in found} >= {name for name, form in FORMS.items() if form.joints} - {
-        *FILMS
-    }
+    assert {one.form.partition(",")[0] for one in found} >= {
+        name for name, form in FILE_FORMATS.items() if form.joints
+    } - {*FILMS}
     assert "amc, channels" in {one.form for one in found}
     for one in found:
         chain = one.form == "bvh, joints"  # bones of fixed length

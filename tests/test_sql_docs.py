@@ -17,7 +17,7 @@ from kinedex.pipelines.stages.annotate import Annotate
 from kinedex.pipelines.stages.index import Index
 from kinedex.pipelines.stages.ingest import Ingest
 from kinedex.pipelines.stages.learn_templates import LearnTemplates
-from kinedex.pipelines.templates.learning import read_templates
+from kinedex.pipelines.templates.template_learning import read_templates
 from kinedex.storage.store.database_file import write_database
 from kinedex.storage.store.store import Store, open_store
 from tests.pipelines.archives import context, write_archive

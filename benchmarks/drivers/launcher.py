@@ -22,7 +22,7 @@ from typing import Any
 
 Measured = dict[str, float]
 
-LEAST_SECONDS, MOST_RUNS = 1.0, 9
+MIN_SECONDS, MAX_RUNS = 1.0, 9
 """Work is repeated until it has taken so long in all, or so often."""
 
 
@@ -71,7 +71,7 @@ class Bench:
             Is called before each run, and not timed.
         """
         times = list[float]()
-        while not times or (len(times) <= MOST_RUNS and sum(times[1:]) < LEAST_SECONDS):
+        while not times or (len(times) <= MAX_RUNS and sum(times[1:]) < MIN_SECONDS):
             before()
             begin = time.perf_counter()
             work()

@@ -16,7 +16,7 @@ from kinedex.catalog.queries.keyframe_query import Gap, KeyframeQuery, mirrored
 from kinedex.ops.errors import ConfigError, KinedexError, did_you_mean
 from kinedex.ops.local_paths import refuse_addresses
 
-MOST_CHAINS = 64
+MAX_CHAINS = 64
 """Maximum number of chains of keyframes into which one query may expand: alternatives within sequences multiply."""
 
 STRUCTURE = ("keyframes", "sequence", "any_of")
@@ -184,9 +184,9 @@ class QueryReader:
         else:
             found = self._sequence(entry.sequence or [], within, *key, "sequence")
         found = self._mirror(found, entry.mirror)
-        if len(found) > MOST_CHAINS:
+        if len(found) > MAX_CHAINS:
             raise self.located.error(
-                f"stands for {len(found)} chains of keyframes, as alternatives multiply; at most {MOST_CHAINS}: "
+                f"stands for {len(found)} chains of keyframes, as alternatives multiply; at most {MAX_CHAINS}: "
                 "write several queries instead",
                 *key,
             )
@@ -246,7 +246,7 @@ class QueryReader:
             gap = self._gap(step, *key, i)
             later = self._item(step.then, within, *key, i, "then")
             found = [_joined(one, gap, other) for one in found for other in later]
-            if len(found) > MOST_CHAINS:
+            if len(found) > MAX_CHAINS:
                 break
         return found
 

@@ -10,7 +10,7 @@ from kinedex.catalog.skeletons.recognition.landmarks import Landmarks, load_land
 from kinedex.catalog.skeletons.skeleton_fit import Fit
 from kinedex.ops.errors import SourceError, did_you_mean
 
-LEAST_MARKERS = 3
+MIN_MARKERS = 3
 
 _LANDMARKS = {
     "pelvis": ("lasis", "rasis", "lpsis", "rpsis", "sacrum", "lcrest", "rcrest"),
@@ -58,13 +58,13 @@ def limb_nodes(source: str | Path, fit: Fit, parents: Sequence[int], at_end: boo
     for name, limb in LIMBS.items():
         own = fit.mapping.limbs.get(name)
         if own is not None and own.node is not None:
-            if own.node not in fit.places:
+            if own.node not in fit.indices:
                 raise SourceError(
                     source,
                     f"the skeleton has no '{own.node}', which mapping '{fit.mapping.name}' ({fit.mapping.path}) takes "
-                    f"for limb '{name}'{did_you_mean(own.node, fit.places)}",
+                    f"for limb '{name}'{did_you_mean(own.node, fit.indices)}",
                 )
-            found[name] = fit.places[own.node]
+            found[name] = fit.indices[own.node]
             continue
         node = _node_of(limb, fit, parents, at_end)
         if node is not None:
@@ -91,7 +91,7 @@ def _node_of(limb: Limb, fit: Fit, parents: Sequence[int], at_end: bool) -> int 
 def _single(fit: Fit, joint: str) -> int | None:
     """Return the index of the node at a joint; None if the joint is unknown or combined from several nodes."""
     mix = fit.joints.get(joint)
-    return None if mix is None or mix.node is None else fit.places[mix.node]
+    return None if mix is None or mix.node is None else fit.indices[mix.node]
 
 
 def limb_markers(source: str | Path, fit: Fit, landmarks: Landmarks | None = None) -> dict[str, tuple[int, ...]]:
@@ -116,28 +116,28 @@ def limb_markers(source: str | Path, fit: Fit, landmarks: Landmarks | None = Non
     SourceError
         The file has no marker that the mapping names for a limb.
     """
-    labels = _labels(fit.places, landmarks or load_landmarks())
+    labels = _labels(fit.indices, landmarks or load_landmarks())
     found = {}
     for name, limb in LIMBS.items():
         own = fit.mapping.limbs.get(name)
         if own is not None and own.markers:
-            lacking = [marker for marker in own.markers if marker not in fit.places]
+            lacking = [marker for marker in own.markers if marker not in fit.indices]
             if lacking:
                 raise SourceError(
                     source,
                     f"has no marker '{lacking[0]}', which mapping '{fit.mapping.name}' ({fit.mapping.path}) puts on "
-                    f"limb '{name}'{did_you_mean(lacking[0], fit.places)}",
+                    f"limb '{name}'{did_you_mean(lacking[0], fit.indices)}",
                 )
-            found[name] = tuple(fit.places[marker] for marker in own.markers)
+            found[name] = tuple(fit.indices[marker] for marker in own.markers)
             continue
         wanted = (limb.side + landmark for landmark in _LANDMARKS.get(name[len(limb.side) :], ()))
-        places = tuple(dict.fromkeys(fit.places[label] for one in wanted for label in labels.get(one, ())))
-        if len(places) >= LEAST_MARKERS:
-            found[name] = places
+        positions = tuple(dict.fromkeys(fit.indices[label] for one in wanted for label in labels.get(one, ())))
+        if len(positions) >= MIN_MARKERS:
+            found[name] = positions
     return found
 
 
-def _labels(places: Mapping[str, int], landmarks: Landmarks) -> dict[str, tuple[str, ...]]:
+def _labels(positions: Mapping[str, int], landmarks: Landmarks) -> dict[str, tuple[str, ...]]:
     """Return the labels of the landmarks of markers on the skin; nothing for a file of joint centres."""
-    reading = landmarks.read(list(places))
+    reading = landmarks.read(list(positions))
     return reading.labels if reading.skin else {}

@@ -21,7 +21,7 @@ import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 
 from kinedex.catalog.configs import Located, config_names, config_path, load_yaml, parse_yaml, read_text
-from kinedex.catalog.skeletons.evidence import Evidence
+from kinedex.catalog.skeletons.body_evidence import Evidence
 from kinedex.catalog.skeletons.recognition.landmarks import Landmarks, landmarks_with
 from kinedex.catalog.skeletons.recognition.names import LONGEST_PREFIX, Vocabulary, load_vocabulary, parse_vocabulary
 from kinedex.catalog.skeletons.recognition.points import recognise_points
@@ -458,7 +458,7 @@ def _axes(located: Located, up: Axis, facing: Axis, handedness: str, key: str) -
 
 
 @dataclass
-class Question:
+class MappingRequest:
     """The body for which a reader last requested a mapping.
 
     Attributes
@@ -483,7 +483,7 @@ class Question:
 class WatchedMappings(Mappings):
     """Mappings that record the last request of a reader, and their answer."""
 
-    question: Question = field(default_factory=Question)
+    question: MappingRequest = field(default_factory=MappingRequest)
 
     @classmethod
     def of_mappings(cls, mappings: Mappings) -> WatchedMappings:
@@ -522,12 +522,12 @@ class OwnFile:
     stored: bool = False
 
 
-def own_files(places: Iterable[str | Path]) -> tuple[OwnFile, ...]:
+def own_files(positions: Iterable[str | Path]) -> tuple[OwnFile, ...]:
     """Read files with mappings or vocabularies that a user wrote.
 
     Parameters
     ----------
-    places : iterable of path
+    positions : iterable of path
         YAML files, and folders whose YAML files are all read.
 
     Raises
@@ -536,7 +536,7 @@ def own_files(places: Iterable[str | Path]) -> tuple[OwnFile, ...]:
         There is no such file or folder, or a folder holds no YAML file.
     """
     found: list[Path] = []
-    for place in (Path(one).expanduser() for one in places):
+    for place in (Path(one).expanduser() for one in positions):
         if place.is_dir():
             inside = sorted(path for path in place.iterdir() if path.suffix.lower() in ENDINGS)
             if not inside:

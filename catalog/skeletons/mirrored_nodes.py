@@ -56,7 +56,7 @@ def _sides(names: Sequence[str], parents: Sequence[int], fit: Fit) -> list[str]:
     """Return the side of each node, empty in the middle: that of the mapped nodes at or below it, else of its name."""
     below: list[set[str]] = [set() for _ in names]
     for joint, mix in fit.joints.items():
-        if mix is not None and mix.node is not None and (i := fit.places[mix.node]) < len(names):
+        if mix is not None and mix.node is not None and (i := fit.indices[mix.node]) < len(names):
             below[i].add(
                 joint[0] if joint[0] in "lr" and f"{'r' if joint[0] == 'l' else 'l'}{joint[1:]}" in fit.joints else ""
             )

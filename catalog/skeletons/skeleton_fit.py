@@ -148,12 +148,12 @@ class Mix:
         mixed = " ".join(f"{weight:+g} {name}" for name, weight in self.weights)
         return f"{mixed} {self.out:+g} aside of {'-'.join(self.plane)}" if self.plane else mixed
 
-    def apply(self, places: Mapping[str, F64], hand: float) -> F64:
+    def apply(self, positions: Mapping[str, F64], hand: float) -> F64:
         """Compute the position (3, T) from those of the nodes; `hand` is 1 for right-handed axes, else −1."""
         with np.errstate(over="ignore", invalid="ignore"):  # Invalid numbers become infinite and are refused later.
-            mixed: F64 = np.sum([weight * places[name] for name, weight in self.weights], axis=0)
+            mixed: F64 = np.sum([weight * positions[name] for name, weight in self.weights], axis=0)
             if self.plane:
-                a, b, c = (places[name] for name in self.plane)
+                a, b, c = (positions[name] for name in self.plane)
                 normal = np.cross(b - a, c - a, axis=0)
                 far = np.linalg.norm(b - a, axis=0) / np.maximum(np.linalg.norm(normal, axis=0), np.finfo(float).tiny)
                 mixed = mixed + hand * self.out * far * normal
@@ -163,7 +163,7 @@ class Mix:
 _KEPT_FITS: dict[tuple[int, tuple[tuple[str, int], ...]], Fit] = {}
 """Fits by the identity of their mapping, which they keep alive, and the nodes."""
 
-_MOST_KEPT = 64
+_MAX_KEPT = 64
 
 
 @dataclass(frozen=True)
@@ -215,15 +215,15 @@ class SkeletonMapping:
         """Return True if `only` is None, or if it matches the file's name or a node's, so that detection may use it."""
         return self.only is None or any(re.search(self.only, name) for name in (Path(source).name, *nodes))
 
-    def places(self, nodes: Mapping[str, int]) -> dict[str, int]:
+    def indices(self, nodes: Mapping[str, int]) -> dict[str, int]:
         """Return the index of each node by the name that the mapping uses, excluding names that become ambiguous."""
         short = self._short(nodes)
-        places = {name: nodes[whole[0]] for name, whole in short.items() if len(whole) == 1} | dict(nodes)
+        positions = {name: nodes[whole[0]] for name, whole in short.items() if len(whole) == 1} | dict(nodes)
         for name, others in self.aliases.items():
-            there = next((places[other] for other in others if other in places), None)
+            there = next((positions[other] for other in others if other in positions), None)
             if there is not None:
-                places.setdefault(name, there)
-        return places
+                positions.setdefault(name, there)
+        return positions
 
     def shared(self, nodes: Iterable[str]) -> dict[str, list[str]]:
         """Return the names that become ambiguous without their prefix, each with its nodes."""
@@ -245,13 +245,13 @@ class SkeletonMapping:
         key = (id(self), tuple(nodes.items()))
         kept = _KEPT_FITS.get(key)
         if kept is None:
-            if len(_KEPT_FITS) >= _MOST_KEPT:
+            if len(_KEPT_FITS) >= _MAX_KEPT:
                 _KEPT_FITS.clear()
             kept = _KEPT_FITS[key] = self._fit(nodes)
         return kept
 
     def _fit(self, nodes: Mapping[str, int]) -> Fit:
-        places = self.places(nodes)
+        positions = self.indices(nodes)
         found: dict[str, Mix | None] = {}
         instead: dict[str, tuple[Mix, ...]] = {}
         missing: dict[str, str] = {}
@@ -259,7 +259,7 @@ class SkeletonMapping:
         for joint in sorted(self.joints, key=lambda joint: any(mix and mix.of_joints for mix in self.joints[joint])):
             usable = []
             for mix in self.joints[joint]:
-                there: Mapping[str, object] = found if mix and mix.of_joints else places
+                there: Mapping[str, object] = found if mix and mix.of_joints else positions
                 if mix is None or all(there.get(name) is not None for name in mix.names):
                     usable.append(mix)
             if usable:
@@ -268,12 +268,12 @@ class SkeletonMapping:
                     instead[joint] = tuple(mix for mix in usable[1:] if mix is not None)
             else:
                 names = [name for mix in self.joints[joint] if mix and not mix.of_joints for name in mix.names]
-                missing[f"joint '{joint}'"] = next((name for name in names if name not in places), joint)
+                missing[f"joint '{joint}'"] = next((name for name in names if name not in positions), joint)
         for bone, weights in self.bones.items():
-            lacking = [name for name in (bone, *weights) if name not in places]
+            lacking = [name for name in (bone, *weights) if name not in positions]
             if lacking:
                 missing[f"bone '{bone}'"] = lacking[0]
-        return Fit(self, places, found, missing, instead)
+        return Fit(self, positions, found, missing, instead)
 
     def apply(self, source: str | Path, nodes: Mapping[str, int], positions: F64, joints: tuple[str, ...]) -> F64:
         """Compute the positions of the named joints from the positions of the nodes.
@@ -323,7 +323,7 @@ class Fit:
 
     Attributes
     ----------
-    places : dict[str, int]
+    indices : dict[str, int]
         Node name → index, under the names that the mapping uses.
     joints : dict[str, Mix or None]
         The combination of nodes for each named joint.
@@ -342,7 +342,7 @@ class Fit:
     """
 
     mapping: SkeletonMapping
-    places: dict[str, int]
+    indices: dict[str, int]
     joints: dict[str, Mix | None]
     missing: dict[str, str]
     instead: dict[str, tuple[Mix, ...]] = field(default_factory=dict)
@@ -370,20 +370,20 @@ class Fit:
     def known(self) -> int:
         """Return the number of the skeleton's nodes that the mapping refers to."""
         mixes = [mix for choices in self.mapping.joints.values() for mix in choices if mix and not mix.of_joints]
-        return len({name for mix in mixes for name in mix.names} & self.places.keys())
+        return len({name for mix in mixes for name in mix.names} & self.indices.keys())
 
     @cached_property
     def root(self) -> int:
         """Return the index of the node whose rotation is the body's: that of joint `root`, else the first node."""
         mix = self.joints.get("root")
-        return self.places[mix.node] if mix is not None and mix.node is not None else 0
+        return self.indices[mix.node] if mix is not None and mix.node is not None else 0
 
     @cached_property
     def nodes(self) -> tuple[int, ...]:
         """Return the indices of the nodes from which the named joints are computed."""
         mixes = [*self.joints.values(), *(mix for others in self.instead.values() for mix in others)]
         own = [mix for mix in mixes if mix is not None and not mix.of_joints]
-        return tuple(sorted({self.places[name] for mix in own for name in mix.names}))
+        return tuple(sorted({self.indices[name] for mix in own for name in mix.names}))
 
     @cached_property
     def unknown(self) -> tuple[str, ...]:
@@ -408,7 +408,7 @@ class Fit:
             raise SourceError(
                 source,
                 f"the skeleton has no '{node}', which mapping '{self.mapping.name}' ({self.mapping.path}) takes for "
-                f"{what}{did_you_mean(node, self.places, _ALIKE)}{way_out}",
+                f"{what}{did_you_mean(node, self.indices, _ALIKE)}{way_out}",
             )
 
     def apply(self, positions: F64, joints: tuple[str, ...], out: F64 | None = None) -> F64:
@@ -437,6 +437,6 @@ class Fit:
 
     def _track(self, mix: Mix, positions: F64, tracks: Mapping[str, F64], hand: float) -> F64:
         if mix.node is not None:
-            track: F64 = positions[self.places[mix.node]]
+            track: F64 = positions[self.indices[mix.node]]
             return track
-        return mix.apply(tracks if mix.of_joints else {name: positions[self.places[name]] for name in mix.names}, hand)
+        return mix.apply(tracks if mix.of_joints else {name: positions[self.indices[name]] for name in mix.names}, hand)

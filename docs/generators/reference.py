@@ -22,8 +22,8 @@ from kinedex.commands.app import COMMON_OPTIONS, PANELS
 from kinedex.commands.cli import app
 from kinedex.pipelines.engine.config import load_pipeline
 from kinedex.pipelines.engine.stage import BUILT_IN, load_stage
-from kinedex.pipelines.evaluation.scheme import Method, Split
-from kinedex.pipelines.ranking.ranking_evaluation import Fold
+from kinedex.pipelines.evaluation.comparison_parameters import Method, Split
+from kinedex.pipelines.templates.ranking_evaluation import Fold
 from kinedex.pipelines.templates.training import Combination
 
 INTRODUCTION = """\
@@ -99,9 +99,9 @@ PARTS = {
         ("`columns`", "kinedex.catalog.sensorsets", "Columns"),
     ),
     "printed": (
-        ("", "kinedex.catalog.printed_figures", "PrintedFigures"),
-        ("an item of `figures`", "kinedex.catalog.printed_figures", "PrintedFigure"),
-        ("an item of `limbs`", "kinedex.catalog.printed_figures", "PrintedError"),
+        ("", "kinedex.catalog.published_results", "PublishedResults"),
+        ("an item of `figures`", "kinedex.catalog.published_results", "PublishedScore"),
+        ("an item of `limbs`", "kinedex.catalog.published_results", "PublishedError"),
     ),
     "imu_grades": (
         ("", "kinedex.catalog.imu_grades", "GradeFile"),

@@ -18,7 +18,7 @@ FIRST = 250_000
 """The number of objects at which Python first collects garbage; a command allocates some 160,000 at most."""
 
 
-def put_off_collection() -> None:
+def delay_collection() -> None:
     """Delay the first garbage collection until there are `FIRST` objects, and skip the one at the end of the process.
 
     After the first collection, the usual thresholds hold. Files are still closed at exit, because that depends on
@@ -48,7 +48,7 @@ def main() -> None:
     """Run the console command `kinedex`; its output is UTF-8, on Windows too."""
     escape_streams()
     if sys.argv[1:2] and sys.argv[1] in COMMANDS and COMMANDS[sys.argv[1]].panel in (ASK, SEARCH):
-        put_off_collection()
+        delay_collection()
     try:
         app(prog_name="kinedex")  # the same name in usage messages, whichever file was started
     except SystemExit as end:

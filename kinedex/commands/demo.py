@@ -20,12 +20,12 @@ from kinedex.ops.errors import KinedexError
 from kinedex.ops.inertial.rotations import distance_deg
 from kinedex.ops.intervals import in_seconds
 from kinedex.ops.packages import imu_package
-from kinedex.ops.wording import counted, few
+from kinedex.ops.wording import counted, name_list
 from kinedex.pipelines.engine.executors import cores
 from kinedex.pipelines.engine.kernel_compilation import KernelCompilation
 from kinedex.pipelines.engine.runner import Outcome, run_pipeline
-from kinedex.pipelines.recordings.runs import earlier_rows
-from kinedex.pipelines.synth.archive import Summary, write_archive
+from kinedex.pipelines.simulation.synthetic_archive import ArchiveSummary, write_archive
+from kinedex.pipelines.tracking.recording_runs import earlier_rows
 from kinedex.storage.snapshot.manifest_files import versions
 from kinedex.storage.store.store import Store, open_store
 
@@ -46,7 +46,7 @@ DEPTH_TAKES = 6
 INERTIAL = "chapter7"
 """The pipeline that injects errors into takes and detects them by sensors."""
 
-WORN_TAKES, LEAST_S = 4, 15.0
+WORN_TAKES, MIN_DURATION_S = 4, 15.0
 """Number of takes with simulated sensors, and their least duration in seconds."""
 
 TRUTH = Path("truth") / "sensors.csv"
@@ -72,7 +72,7 @@ class Demo:
         """The folder of the recordings, which depends on the length of the archive, as the takes do."""
         return self.store.parent / f"{self.store.name}-recordings-{self.minutes:g}min"
 
-    def say(self, text: str, style: str | None = None) -> None:
+    def message(self, text: str, style: str | None = None) -> None:
         """Print a line."""
         self.console.print(text, style=style, markup=False)
 
@@ -97,7 +97,7 @@ class Demo:
 
         The outcome is that of the first run; a later one with the same settings has nothing to do.
         """
-        self.say(f"store: {self.store}")
+        self.message(f"store: {self.store}")
         assignments = {"source": str(self.archive), **settings}
         outcome = self.run(pipeline, assignments)
         if outcome.ran:
@@ -135,39 +135,39 @@ def run_demo(demo: Demo, data: Path | None, method: str = "thesis") -> Outcome:
             with Terminal(demo.console).progress("compiling kernels"):
                 kernels.wait()
         settings["classes"] = "synthetic"
-    demo.say(f"store: {demo.store}")
+    demo.message(f"store: {demo.store}")
     return demo.run("annotate", {**settings, "source": str(data)})
 
 
 def run_tracking_demo(demo: Demo) -> Outcome:
     """Film takes of one actor of a synthetic archive, and stabilise their tracks with the archive of the others."""
-    from kinedex.pipelines.simulation.camera_recordings import RECORDINGS, Request, simulate_cameras
+    from kinedex.pipelines.simulation.simulated_cameras import RECORDINGS, CameraRequest, simulate_cameras
 
     demo.ingest()
     file = demo.recordings / RECORDINGS
     if not file.is_file():
-        demo.say(f"recordings of the actor '{FILMED}' in {demo.recordings}", "bold")
+        demo.message(f"recordings of the actor '{FILMED}' in {demo.recordings}", "bold")
         with open_store(demo.store) as opened:
-            request = Request(where=CLIPS, seed=SEED)
+            request = CameraRequest(where=CLIPS, seed=SEED)
             made = simulate_cameras(opened, request, demo.recordings, Terminal(demo.console).progress)
         filmed = f"{counted(len(made.recordings), 'recording')}, {counted(made.failures, 'failure')}"
-        demo.say(f"    {filmed} in {made.frames:,} frames")
+        demo.message(f"    {filmed} in {made.frames:,} frames")
     return demo.run_settled("stabilise", {"recordings": str(file), "train": OTHERS})
 
 
 def run_depth_demo(demo: Demo) -> Outcome:
     """Film takes of one actor of a synthetic archive by a depth camera, and reconstruct them with the others' poses."""
-    from kinedex.pipelines.simulation.depth_recordings import RECORDINGS, Request, simulate_depth
+    from kinedex.pipelines.simulation.simulated_depth import RECORDINGS, DepthRequest, simulate_depth
 
     demo.ingest()
     file = demo.recordings / RECORDINGS
     if not file.is_file():
-        demo.say(f"depth recordings of the actor '{FILMED}' in {demo.recordings}", "bold")
+        demo.message(f"depth recordings of the actor '{FILMED}' in {demo.recordings}", "bold")
         with open_store(demo.store) as opened:
             names = [str(name) for name in opened.takes(CLIPS).sort("name")["name"].to_list()][:DEPTH_TAKES]
-            request = Request(tuple(names), seed=SEED)
+            request = DepthRequest(tuple(names), seed=SEED)
             made = simulate_depth(opened, request, demo.recordings, Terminal(demo.console).progress)
-        demo.say(f"    {counted(len(made.recordings), 'recording')}, {made.frames:,} frames")
+        demo.message(f"    {counted(len(made.recordings), 'recording')}, {made.frames:,} frames")
     return demo.run_settled("reconstruct", {"recordings": str(file), "pose_database.where": OTHERS})
 
 
@@ -179,8 +179,8 @@ def run_inertial_demo(demo: Demo) -> Outcome:
     KinedexError
         A stage fails, no take is long enough, or a package of the extra `imu` is missing.
     """
-    from kinedex.pipelines.simulation.imu_recordings import Request, simulate_imu
-    from kinedex.pipelines.simulation.imu_sensors import Wearing
+    from kinedex.pipelines.simulation.imu_recordings import ImuRequest, simulate_imu
+    from kinedex.pipelines.simulation.imu_sensors import WearOptions
 
     for package in ("vqf", "scipy.interpolate"):
         imu_package(package, "the demo of inertial sensors needs")
@@ -190,15 +190,15 @@ def run_inertial_demo(demo: Demo) -> Outcome:
         names = _long_takes(opened)
         if not names:
             raise KinedexError(
-                f"no take of {demo.minutes:g} minutes of motion lasts {LEAST_S:g} s, which sensors need to be "
+                f"no take of {demo.minutes:g} minutes of motion lasts {MIN_DURATION_S:g} s, which sensors need to be "
                 "synchronised; use --minutes 3"
             )
         if not (recordings / TRUTH).is_file():
-            demo.say(f"simulated sensors on {counted(len(names), 'take')} in {recordings}", "bold")
-            request = Request(WORN, "good", Wearing(SEED))
+            demo.message(f"simulated sensors on {counted(len(names), 'take')} in {recordings}", "bold")
+            request = ImuRequest(WORN, "good", WearOptions(SEED))
             made = simulate_imu(opened, names, None, request, recordings, Terminal(demo.console).progress)
-            demo.say(f"    {made.seconds:.0f} s of motion, {made.samples:,} samples")
-    demo.say(f"store: {demo.store}")
+            demo.message(f"    {made.seconds:.0f} s of motion, {made.samples:,} samples")
+    demo.message(f"store: {demo.store}")
     settings = {
         "source": str(demo.archive),
         "recordings": str(recordings / "recordings"),
@@ -208,14 +208,18 @@ def run_inertial_demo(demo: Demo) -> Outcome:
     outcome = demo.run(INERTIAL, settings)
     with open_store(demo.store, at="newest") as opened:
         for line in figures(opened, recordings):
-            demo.say(line)
+            demo.message(line)
     return outcome
 
 
 def _long_takes(store: Store) -> list[str]:
     """Return the first takes that are long enough to be synchronised."""
     rows = store.take_rows.to_pylist()
-    long = [row["name"] for row in rows if row["class"] is None and in_seconds(row["frames"], store.rate_hz) >= LEAST_S]
+    long = [
+        row["name"]
+        for row in rows
+        if row["class"] is None and in_seconds(row["frames"], store.rate_hz) >= MIN_DURATION_S
+    ]
     return sorted(str(name) for name in long)[:WORN_TAKES]
 
 
@@ -304,7 +308,8 @@ def refuse_other_takes(store: Path, data: Path) -> None:
     if not roots or any(root.name == data.resolve().name for root in roots):
         return
     raise KinedexError(
-        f"{store} holds {counted(len(rows), 'take')} of {few(sorted(map(str, roots)))}, and none of {data}: the demo "
+        f"{store} holds {counted(len(rows), 'take')} of {name_list(sorted(map(str, roots)))}, and none of {data}: the "
+        "demo "
         "would mix others with them; name a folder for its store that does not exist yet, such as "
         f"{store.with_name(store.name + '-demo')}"
     )
@@ -312,7 +317,7 @@ def refuse_other_takes(store: Path, data: Path) -> None:
 
 def make_archive(
     directory: Path, minutes: float, actors: int, seed: int, workers: int | None, console: Console
-) -> Summary:
+) -> ArchiveSummary:
     """Make a synthetic archive, or finish one that was interrupted, and print what it holds.
 
     Raises

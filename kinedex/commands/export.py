@@ -15,10 +15,10 @@ from kinedex.commands.options import AtOption, JsonOption, StorePath, WhereOptio
 from kinedex.commands.output import print_json, print_message, print_path
 from kinedex.ops.errors import KinedexError
 from kinedex.ops.intervals import in_seconds
-from kinedex.pipelines.export.request import FORMS, form_named
+from kinedex.pipelines.export.request import FILE_FORMATS, format_named
 
 if TYPE_CHECKING:
-    from kinedex.pipelines.export.request import How, What
+    from kinedex.pipelines.export.request import ClipOptions, IntervalSource
     from kinedex.storage.store.store import Store
 
 _METRES = {"mm": 0.001, "cm": 0.01, "m": 1.0}
@@ -40,7 +40,7 @@ PlaceOption = Annotated[
     ),
 ]  # fmt: skip
 ClipFormatOption = Annotated[
-    str, typer.Option("--format", help=f"{', '.join(FORMS)}; the ending of the file unless given, else csv.")
+    str, typer.Option("--format", help=f"{', '.join(FILE_FORMATS)}; the ending of the file unless given, else csv.")
 ]
 JointsOption = Annotated[
     bool, typer.Option("--joints", help="Write the 24 joints also where the source's own channels can be cut.")
@@ -76,14 +76,14 @@ class Choice(OptionGroup):
     ] = None
     min_confidence: Annotated[float | None, typer.Option(min=0, max=1, help="Least confidence.")] = None
 
-    def what(self, takes: list[str] | None) -> What:
+    def what(self, takes: list[str] | None) -> IntervalSource:
         """Return the choice among takes."""
-        from kinedex.pipelines.export.request import What, source_of
+        from kinedex.pipelines.export.request import IntervalSource, source_of
 
         kind, name = source_of(
             annotations=self.annotations, labels=self.labels, hits=self.hits, ranges=self.ranges, sql=self.sql
         )
-        return What(
+        return IntervalSource(
             kind, name, tuple(takes or ()), self.where, tuple(self.classes or ()), self.pipeline, self.min_confidence
         )
 
@@ -132,15 +132,15 @@ class Clips(OptionGroup):
         ),
     ] = None
 
-    def how(self, form: str, joints: bool) -> How:
+    def how(self, form: str, joints: bool) -> ClipOptions:
         """Return how clips are written in a format."""
-        from kinedex.pipelines.export.request import How
+        from kinedex.pipelines.export.request import ClipOptions
 
         try:
             shares = tuple(float(part) for part in self.shares.split(","))
         except ValueError:
             raise KinedexError(f"--shares {self.shares}: expected two or three numbers, such as 0.8,0.1,0.1") from None
-        return How(
+        return ClipOptions(
             form, joints, self.margin or 0.0, self.context or 0.0, self.min_length or 0.0, self.mirror, self.resample,
             self.in_place, self.split, shares, self.seed, self.balance, self.per_class, self.distinct,
         )  # fmt: skip
@@ -165,10 +165,10 @@ def export(
     With one TAKE, -o is a file unless it is a folder or ends in a slash. Otherwise it is the folder of a data set, with
     metadata.csv and dataset.json.
     """
-    from kinedex.pipelines.export.request import What
+    from kinedex.pipelines.export.request import IntervalSource
 
     what = chosen.what(takes)
-    alone = what == What(takes=what.takes) and len(what.takes) == 1 and not _is_folder(output)
+    alone = what == IntervalSource(takes=what.takes) and len(what.takes) == 1 and not _is_folder(output)
     form = form or (Path(output).suffix.lstrip(".").lower() if alone and output else "") or "csv"
     how = clips.how(form, joints)
     if alone:
@@ -183,11 +183,11 @@ def _is_folder(output: str | None) -> bool:
     return output is not None and (output.endswith(("/", os.sep)) or Path(output).is_dir())
 
 
-def _export_take(store: Store, take: str, how: How, output: str | None, as_json: bool) -> None:
-    from kinedex.pipelines.export.export import export_take
+def _export_take(store: Store, take: str, how: ClipOptions, output: str | None, as_json: bool) -> None:
+    from kinedex.pipelines.export.data_set import export_take
     from kinedex.storage.formats.labels.formats import file_names
 
-    form = form_named(how.form)
+    form = format_named(how.form)
     # the name of a take may be no valid file name
     (name,) = file_names([Path(take).name])
     files = export_take(store, take, how, Path(output or f"{name}.{form.endings[0]}"))
@@ -213,13 +213,15 @@ def _document(store: Store, files: list[Path], **facts: object) -> dict[str, obj
     return {"store": store.path, "files": files, **empty, "remarks": [], **facts}
 
 
-def _export_data_set(store: Store, what: What, how: How, folder: Path, workers: int | None, as_json: bool) -> None:
+def _export_data_set(
+    store: Store, what: IntervalSource, how: ClipOptions, folder: Path, workers: int | None, as_json: bool
+) -> None:
     """Write a data set; exit with `LEFT_OUT` where clips could not be written."""
     from kinedex.console.terminal import Terminal
     from kinedex.pipelines.engine.executors import make_executor
-    from kinedex.pipelines.export.export import export_data_set, summary_lines
-    from kinedex.pipelines.export.folder import DATA_SET, METADATA
-    from kinedex.pipelines.export.metadata import split_facts
+    from kinedex.pipelines.export.data_set import export_data_set, summary_lines
+    from kinedex.pipelines.export.data_set_folder import DATA_SET, METADATA
+    from kinedex.pipelines.export.data_set_record import split_facts
 
     executor = make_executor("processes", workers)
     try:

@@ -32,7 +32,7 @@ def list_(
     as_json: JsonOption = False,
 ) -> None:
     """List the pipeline runs of a store and what each changed."""
-    from kinedex.pipelines.history.overview import runs_table
+    from kinedex.pipelines.engine.run_overview import runs_table
     from kinedex.storage.store.history import history_problems, list_runs
 
     every = list_runs(store)
@@ -55,11 +55,11 @@ def list_(
 @command(of=history)
 def show(store: StorePath, run: RunArgument, as_json: JsonOption = False) -> None:
     """Show everything that is known about a pipeline run."""
-    from kinedex.pipelines.history.overview import (
-        before_each,
-        changes,
+    from kinedex.pipelines.engine.run_overview import (
         find_run,
+        previous_runs,
         results_of,
+        run_changes,
         run_lines,
         versions_with_results,
     )
@@ -68,10 +68,10 @@ def show(store: StorePath, run: RunArgument, as_json: JsonOption = False) -> Non
 
     every = list_runs(store)
     found = find_run(every, run, store)
-    before = before_each(every)[found.run]
+    before = previous_runs(every)[found.run]
     results = results_of(found, versions_with_results(store), versions(store)[-1])
     if as_json:
-        more = {"results": results, "changes": changes(found, before)}
+        more = {"results": results, "changes": run_changes(found, before)}
         print_json({"store": store, "run": asdict(found) | more})
         return
     for line in run_lines(found, before, results):
@@ -97,8 +97,8 @@ def export(
 
     All settings are in the file.
     """
-    from kinedex.pipelines.history.overview import find_run
-    from kinedex.pipelines.history.run_file import changed_defaults, export_run
+    from kinedex.pipelines.engine.run_file import changed_defaults, export_run
+    from kinedex.pipelines.engine.run_overview import find_run
     from kinedex.storage.store.history import list_runs
 
     found = find_run(list_runs(store), run, store)

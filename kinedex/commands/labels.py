@@ -16,10 +16,10 @@ from kinedex.ops.errors import KinedexError, did_you_mean
 from kinedex.ops.wording import visible
 
 if TYPE_CHECKING:
-    from kinedex.pipelines.labels.decisions import Recorded
-    from kinedex.pipelines.labels.selection import Selection
+    from kinedex.pipelines.labels.decisions import RecordedDecisions
+    from kinedex.pipelines.labels.row_selection import RowSelection
+    from kinedex.storage.formats.labels.file_labels import LabelsOfTake
     from kinedex.storage.formats.labels.formats import Written
-    from kinedex.storage.formats.labels.segments import TakeLabels
     from kinedex.storage.store.store import Store
 
 labels = group("labels", "Keep the labels of people; write and read label files.", ASK)
@@ -65,9 +65,9 @@ class LabelFilter(OptionGroup):
     ] = None
     every: Annotated[bool, typer.Option("--all", help="All of them, where nothing else is chosen.")] = False
 
-    def selection(self, opened: Store, *, every: bool = False) -> Selection:
+    def selection(self, opened: Store, *, every: bool = False) -> RowSelection:
         """Return what the options choose; times need one take, whose frames they count."""
-        from kinedex.pipelines.labels.selection import Selection
+        from kinedex.pipelines.labels.row_selection import RowSelection
         from kinedex.pipelines.templates.stored_templates import clip_range
 
         first = last = None
@@ -78,7 +78,7 @@ class LabelFilter(OptionGroup):
             first = edges[0] if self.start is not None else None
             last = edges[1] if self.stop is not None else None
         takes, classes = tuple(self.take or ()), tuple(self.name or ())
-        return Selection(takes, classes, first, last, self.where, self.rows, every or self.every)
+        return RowSelection(takes, classes, first, last, self.where, self.rows, every or self.every)
 
 
 @command(of=labels)
@@ -138,11 +138,11 @@ def export(
 
 def _segments(
     store: Store, option: str | None, stage: str | None, takes: Sequence[str], where: str | None
-) -> tuple[Sequence[TakeLabels], str, int]:
+) -> tuple[Sequence[LabelsOfTake], str, int]:
     """Return the segments that an option exports (None: annotations): by take, their origin, the number rejected."""
-    from kinedex.pipelines.annotation.tables import annotate_stage
+    from kinedex.pipelines.annotation.annotation_tables import annotation_stage
     from kinedex.pipelines.inertial.limb_labels import limb_error_labels, limb_error_stage
-    from kinedex.pipelines.labels.label_files import classes_of_takes, labels_kept, labels_of
+    from kinedex.pipelines.labels.label_files import annotation_labels, classes_of_takes, stored_labels
 
     if option == "--limbs":
         chosen = limb_error_stage(store, stage)
@@ -150,17 +150,17 @@ def _segments(
     if option == "--classes":
         return classes_of_takes(store, takes, where), "by the classes of takes", 0
     if option == "--labels":
-        found = labels_kept(store, takes, where)
+        found = stored_labels(store, takes, where)
         if not found:
             raise KinedexError(f"{store.path}: no take has a label; `kinedex labels --help` shows how labels come in")
         return found, "labelled by people", 0
-    chosen = annotate_stage(store, stage)
-    annotations = labels_of(store, chosen, takes, where)
+    chosen = annotation_stage(store, stage)
+    annotations = annotation_labels(store, chosen, takes, where)
     return annotations.takes, f"annotated by {chosen}", annotations.rejected
 
 
-def _print_export(inside: Sequence[TakeLabels], written: Written, output: str, by: str, rejected: int) -> None:
-    from kinedex.ops.wording import counted, few
+def _print_export(inside: Sequence[LabelsOfTake], written: Written, output: str, by: str, rejected: int) -> None:
+    from kinedex.ops.wording import counted, name_list
 
     paths = written.paths
     place = str(paths[0]) if len(paths) == 1 else f"{len(paths)} files in {output}"
@@ -169,9 +169,9 @@ def _print_export(inside: Sequence[TakeLabels], written: Written, output: str, b
     if rejected:
         print(f"left out, since a person has rejected them: {counted(rejected, 'annotation')}")
     if written.renamed:
-        print(visible(f"files of other names than their takes: {few(_pairs(written.renamed))}"))
+        print(visible(f"files of other names than their takes: {name_list(_pairs(written.renamed))}"))
     if written.excluded:
-        names = few([f"'{name}'" for name in written.excluded])
+        names = name_list([f"'{name}'" for name in written.excluded])
         print(visible(f"excluded, since this format would not give back their names; JSON would: {names}"))
 
 
@@ -302,14 +302,14 @@ def add(
     as_json: JsonOption = False,
 ) -> None:
     """Label an interval of a take."""
-    from kinedex.pipelines.labels.decisions import record
+    from kinedex.pipelines.labels.decisions import record_decisions
     from kinedex.pipelines.templates.stored_templates import clip_range
 
     opened = open_for_reading(store)
     first, last = clip_range(opened, take, start, stop)
     row = {"take": take, "class": name, "start": first, "stop": last, "origin": "drawn", "limb": limb}
     row |= {"verdict": "negative" if negative else "positive", "confidence": confidence}
-    _report(store, record(opened, [{**row, **asdict(by)}]), as_json)
+    _report(store, record_decisions(opened, [{**row, **asdict(by)}]), as_json)
 
 
 @command(of=labels)
@@ -325,7 +325,7 @@ def change(
 ) -> None:
     """Give a label another class, other edges or another verdict."""
     from kinedex.pipelines.labels.decisions import labels_by_id
-    from kinedex.pipelines.labels.edits import change_label
+    from kinedex.pipelines.labels.label_edits import change_label
     from kinedex.pipelines.templates.stored_templates import clip_range
 
     opened = open_for_reading(store)
@@ -351,8 +351,8 @@ def remove(
     as_json: JsonOption = False,
 ) -> None:
     """Take labels back; they stay in the history."""
-    from kinedex.pipelines.labels.decisions import labels_by_id, withdraw
-    from kinedex.pipelines.labels.selection import selected
+    from kinedex.pipelines.labels.decisions import labels_by_id, withdraw_labels
+    from kinedex.pipelines.labels.row_selection import selected_rows
 
     opened = open_for_reading(store)
     chosen = chosen_by.selection(opened)
@@ -360,8 +360,8 @@ def remove(
         raise typer.BadParameter(
             "name the labels either by ids or by options such as --take and --class; --all for all"
         )
-    found = labels_by_id(opened, ids) if ids else selected(opened.labels(), chosen, "label")
-    _report(store, withdraw(opened, found, **asdict(by)), as_json)
+    found = labels_by_id(opened, ids) if ids else selected_rows(opened.labels(), chosen, "label")
+    _report(store, withdraw_labels(opened, found, **asdict(by)), as_json)
 
 
 @command(of=labels, name="list")
@@ -375,13 +375,13 @@ def list_(
     at: AtOption = None,
 ) -> None:
     """List the labels of a store."""
-    from kinedex.pipelines.labels.selection import selected
+    from kinedex.pipelines.labels.row_selection import selected_rows
     from kinedex.storage.sql.result_scans import shown_labels
 
     opened = open_for_reading(store, at)
     table = shown_labels(opened)
     table = table if history else table.filter(table.column("current")).drop_columns(["current"])
-    found = selected(table, chosen_by.selection(opened, every=True), "label").to_arrow().cast(table.schema)
+    found = selected_rows(table, chosen_by.selection(opened, every=True), "label").to_arrow().cast(table.schema)
     if as_json:
         print_json({"store": store, "labels": found})
     elif output.is_plain:
@@ -422,8 +422,8 @@ def reject(
 def _decide(
     store: Path, chosen_by: LabelFilter, stage: str | None, by: Author, *, accepted: bool, as_json: bool
 ) -> None:
-    from kinedex.pipelines.labels.decisions import annotations_of, decide
-    from kinedex.pipelines.labels.selection import selected
+    from kinedex.pipelines.labels.decisions import annotations_of, decide_annotations
+    from kinedex.pipelines.labels.row_selection import selected_rows
 
     opened = open_for_reading(store)
     chosen = chosen_by.selection(opened)
@@ -437,14 +437,14 @@ def _decide(
                 raise KinedexError(
                     f"{opened.path}: no annotation of {source} has the {noun} '{name}'{did_you_mean(name, known)}"
                 )
-    found = selected(annotations, chosen, "annotation")
+    found = selected_rows(annotations, chosen, "annotation")
     if not found.height:
         raise KinedexError(f"{opened.path}: no annotation of {source} is chosen by these options")
-    done = decide(opened, found, accept=accepted, source=source, **asdict(by))
+    done = decide_annotations(opened, found, accept=accepted, source=source, **asdict(by))
     _report(opened.path, done, as_json)
 
 
-def _report(store: Path, done: Recorded, as_json: bool) -> None:
+def _report(store: Path, done: RecordedDecisions, as_json: bool) -> None:
     """Print the number of recorded labels, and the labels that were excluded."""
     from kinedex.ops.wording import counted
 

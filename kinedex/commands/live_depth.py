@@ -19,8 +19,8 @@ from kinedex.ops.depth.lookup import near_maps
 from kinedex.ops.errors import KinedexError
 from kinedex.ops.wording import counted
 from kinedex.pipelines.reconstruction.followed_folder import FollowedFrame, follow_folder
-from kinedex.pipelines.reconstruction.live import LiveRecording, LiveTracker, put_live_take, write_live_motion
-from kinedex.pipelines.recordings.runs import COMPILING, is_compiled, renew_index
+from kinedex.pipelines.reconstruction.live_tracker import LiveRecording, LiveTracker, put_live_take, write_live_motion
+from kinedex.pipelines.tracking.recording_runs import COMPILING, is_compiled, rebuild_index
 from kinedex.storage.store.store import open_store
 
 PATIENCE_S = 600.0
@@ -91,7 +91,7 @@ def _save(store: Path, live: LiveRecording, wait: float, as_json: bool) -> None:
             f"{str(fault) or 'stopped'}\nthe store has no take of this session; its joints are in {path}, which an "
             "ingest of its folder reads"
         ) from None
-    renew_index(store, wait_of(wait))
+    rebuild_index(store, wait_of(wait))
     with open_store(store, at="newest") as opened:
         row = next(row for row in opened.take_rows.to_pylist() if row["name"] == take)
     if as_json:

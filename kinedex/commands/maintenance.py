@@ -30,7 +30,7 @@ from kinedex.ops.wording import counted, visible, visible_lines
 if TYPE_CHECKING:
     import pyarrow as pa
 
-    from kinedex.pipelines.inspection.inspection import Inspection
+    from kinedex.pipelines.inspection.motion_file import Inspection
     from kinedex.storage.store.verification import Finding
 
 
@@ -117,7 +117,7 @@ def inspect(
         return
     if file.suffix.lower() in (".png", ".pcd", ".ply"):
         raise KinedexError(f"{file}: a depth image or cloud is shown with its camera: --camera FILE")
-    from kinedex.pipelines.inspection.inspection import inspect_file
+    from kinedex.pipelines.inspection.motion_file import inspect_file
     from kinedex.reports.stick_figures import write_picture
     from kinedex.storage.formats.motion.reader import ReadSettings
 
@@ -137,13 +137,13 @@ def inspect(
 
 def _show_facts(found: Inspection, features: bool = False) -> None:
     """Print the facts about a file, and on request the table of features."""
-    from kinedex.console.tables import Shown, pairs
+    from kinedex.console.tables import PrintedTable, pairs
     from kinedex.console.terminal import make_console
 
     console = make_console()
     console.print(pairs(found.lines))
     if features and found.features is not None:
-        console.print(Shown(found.features))
+        console.print(PrintedTable(found.features))
 
 
 def _print_facts(file: Path, found: Inspection, **more: object) -> None:
@@ -256,7 +256,7 @@ def repair(
     What cannot be made again is kept in quarantine/ in the store, with a list.
     """
     from kinedex.console.terminal import Terminal
-    from kinedex.pipelines.repair.repair import repair_store
+    from kinedex.pipelines.ingestion.store_repair import repair_store
 
     done = repair_store(store, Terminal(), dry_run=dry_run, executor=executor, workers=workers, wait=wait_of(wait))
     if as_json:
@@ -347,9 +347,9 @@ def gc(
 
     A version goes if it is not among the newest, is older than --older-than, and no process has it open.
     """
-    from kinedex.storage.store.garbage_collection import collect, summary
+    from kinedex.storage.store.garbage_collection import collect_garbage, summary
 
-    found = collect(store, keep=keep, older_than_seconds=older_than or 0.0, dry_run=dry_run, wait=wait_of(wait))
+    found = collect_garbage(store, keep=keep, older_than_seconds=older_than or 0.0, dry_run=dry_run, wait=wait_of(wait))
     if as_json:
         rows = [{"path": one.path, "bytes": one.bytes, "kind": one.kind} for one in found.removed]
         opened = [{"version": one.version, "processes": one.processes} for one in found.open_versions]

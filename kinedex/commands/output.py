@@ -13,7 +13,7 @@ import typer
 
 from kinedex.commands.app import LEFT_OUT
 from kinedex.ops.errors import KinedexError
-from kinedex.ops.wording import counted, few, visible, visible_lines
+from kinedex.ops.wording import counted, name_list, visible, visible_lines
 
 if TYPE_CHECKING:
     import pyarrow as pa
@@ -64,7 +64,7 @@ def show_table(table: pa.Table, form: str = "table", output: Path | None = None,
     KinedexError
         If the format is unknown, or is Parquet on a terminal.
     """
-    from kinedex.console.tables import Shown, encode
+    from kinedex.console.tables import PrintedTable, encode
     from kinedex.console.terminal import make_console, page_by_page
 
     if output is not None and form == "table":
@@ -73,7 +73,7 @@ def show_table(table: pa.Table, form: str = "table", output: Path | None = None,
         console = make_console()
         long = paged and console.is_terminal and sys.stdin.isatty() and table.num_rows + 3 > console.height
         with page_by_page(console) if long else nullcontext():
-            console.print(Shown(table))
+            console.print(PrintedTable(table))
         return
     data = encode(table, form)
     if output is not None:
@@ -165,7 +165,9 @@ def _file_lines(outcome: Outcome) -> list[str]:
         failed.append(f"failed: {len(files.failed) - FEW:,} more (view known_failures)")
     kinds = {"new": files.new, "changed": files.changed, "gone": files.gone}
     kinds |= {"accepted, since they failed before": tuple(one.file for one in files.accepted)}
-    return [f"{counted(len(paths), 'file')} {kind}: {few(paths)}" for kind, paths in kinds.items() if paths] + failed
+    return [
+        f"{counted(len(paths), 'file')} {kind}: {name_list(paths)}" for kind, paths in kinds.items() if paths
+    ] + failed
 
 
 def _files(outcome: Outcome) -> dict[str, object]:

@@ -19,9 +19,9 @@ if TYPE_CHECKING:
 
     import pyarrow as pa
 
-    from kinedex.pipelines.ranking.store_ranking import StoreRanking
-    from kinedex.pipelines.templates.learning import SubclassTemplate
-    from kinedex.reports.motion_pages.hits import HitsPage
+    from kinedex.pipelines.templates.store_ranking import StoreRanking
+    from kinedex.pipelines.templates.template_learning import SubclassTemplate
+    from kinedex.reports.motion_pages.hits_page import HitsPage
     from kinedex.storage.store.store import Store
 
 
@@ -57,14 +57,14 @@ class Pages(OptionGroup):
     def write_template(self, store: Store, one: SubclassTemplate, delta: float) -> None:
         """Write the page of a template."""
         if self.html is not None:
-            from kinedex.reports.motion_pages.template import write_template_page
+            from kinedex.reports.motion_pages.template_page import write_template_page
 
             self.amounts.append(write_template_page(store, one, delta, self.html, self.figures))
 
     def write_takes(self, store: Store, takes: pa.Table, group: str | None) -> None:
         """Write the page on which all takes move as small figures."""
         if self.html is not None:
-            from kinedex.reports.motion_pages.takes import write_takes_page
+            from kinedex.reports.motion_pages.takes_page import write_takes_page
 
             self.amounts.append(write_takes_page(store, takes, self.html, group=group, most=self.figures))
 
@@ -106,7 +106,7 @@ class HitsOutput(Pages, Output):
     ) -> None:
         """Write the hits of a ranking to page and picture, or the nearest intervals if there is no hit."""
         if self.html is not None or self.picture is not None:
-            from kinedex.reports.motion_pages.hits import ranking_page
+            from kinedex.reports.motion_pages.hits_page import ranking_page
 
             hits = found.table()
             hits = hits if hits.num_rows else found.nearest_table()
@@ -116,12 +116,12 @@ class HitsOutput(Pages, Output):
     def write_search(self, store: Store, hits: pa.Table, title: str, remarks: Sequence[str]) -> None:
         """Write the hits of a search to page and picture."""
         if self.html is not None or self.picture is not None:
-            from kinedex.reports.motion_pages.hits import search_page
+            from kinedex.reports.motion_pages.hits_page import search_page
 
             self._write(store, hits, replace(search_page(store, title), remarks=remarks))
 
     def _write(self, store: Store, hits: pa.Table, about: HitsPage) -> None:
-        from kinedex.reports.motion_pages.hits import write_hits_page, write_strip
+        from kinedex.reports.motion_pages.hits_page import write_hits_page, write_strip
 
         amount = ""
         if self.html is not None:

@@ -48,9 +48,9 @@ def init(
     The names are divided into tokens; a table shows the values of each, and whether they look like actors, classes,
     numbers or styles. `kinedex run FILE --store STORE` then runs the pipeline as it is.
     """
-    from kinedex.pipelines.ingestion.pattern_proposal import matched, propose
-    from kinedex.pipelines.ingestion.pipeline_draft import draft
-    from kinedex.storage.disk import whole_file, write_errors
+    from kinedex.pipelines.ingestion.pattern_proposal import matched_count, propose_patterns
+    from kinedex.pipelines.ingestion.pipeline_draft import draft_pipeline
+    from kinedex.storage.durable_files import whole_file, write_errors
     from kinedex.storage.formats.motion.sources import scan
 
     if output is not None and output.suffix not in (".yaml", ".yml"):
@@ -61,8 +61,8 @@ def init(
     if not found.motions:
         raise KinedexError(f"no motion files below {source}; is this the right folder?")
     paths = [motion.path for motion in found.motions]
-    proposals = propose(paths)
-    fitting = matched(proposals, paths)
+    proposals = propose_patterns(paths)
+    fitting = matched_count(proposals, paths)
     root = Path(found.motions[0].root)
     if as_json:
         patterns = [{"pattern": one.pattern, "paths": len(one.layout.paths)} for one in proposals]
@@ -73,7 +73,7 @@ def init(
         again = shlex.join(["kinedex", "init", str(source), "-o", "my.yaml"])
         print_message(f"nothing was written; {again} writes a pipeline")
         return
-    text = draft(proposals, root, len(paths), fitting, shlex.quote(str(output)))
+    text = draft_pipeline(proposals, root, len(paths), fitting, shlex.quote(str(output)))
     with write_errors(output), whole_file(output) as path:
         path.write_text(text, encoding="utf-8")
     if not as_json:
@@ -282,25 +282,33 @@ def compare(
     """
     from kinedex.console.terminal import Terminal, make_console
     from kinedex.pipelines.engine.page_files import write_page
-    from kinedex.pipelines.evaluation.differences import compared, comparison_tables, content, markdown, without_repeats
-    from kinedex.pipelines.evaluation.written_evaluations import pairs, read_run
+    from kinedex.pipelines.evaluation.differences import (
+        compare_evaluations,
+        comparison_tables,
+        comparisons_json,
+        markdown,
+        without_repeats,
+    )
+    from kinedex.pipelines.evaluation.written_evaluations import paired_evaluations, read_evaluations
     from kinedex.reports.methods_page import comparison_page
     from kinedex.storage.formats.json_text import json_text
 
     if output is not None and output.suffix not in FORMATS:
         raise KinedexError(f"--output {output}: must end in {', '.join(FORMATS)}")
-    ours, theirs = read_run(a), read_run(b)
+    ours, theirs = read_evaluations(a), read_evaluations(b)
     for remark in dict.fromkeys(one.remark for one in (ours, theirs) if one.remark is not None):
         typer.echo(visible(remark), err=True)
-    found = pairs(ours, theirs, split)
-    comparisons = without_repeats([compared(one, other, _names(a, b, one.name, other.name)) for one, other in found])
+    found = paired_evaluations(ours, theirs, split)
+    comparisons = without_repeats(
+        [compare_evaluations(one, other, _names(a, b, one.name, other.name)) for one, other in found]
+    )
     if as_json:
-        print_json(content(comparisons))
+        print_json(comparisons_json(comparisons))
     elif output is None:
         for one in comparisons:
             Terminal(make_console()).show(*comparison_tables(one))
     if output is not None and output.suffix == ".json":
-        write_page(json_text(content(comparisons)), output)
+        write_page(json_text(comparisons_json(comparisons)), output)
     elif output is not None:
         write_page(comparison_page(comparisons) if output.suffix == ".html" else markdown(comparisons), output)
 

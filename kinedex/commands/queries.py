@@ -81,8 +81,8 @@ def search(
     The result is a table of the intervals that hold hits.
     """
     from kinedex.pipelines.engine.run_id import new_run_id
-    from kinedex.pipelines.search.explanation import explain_search
-    from kinedex.pipelines.search.search import load_query_file, save_hits, search_remarks, search_store
+    from kinedex.pipelines.keyframes.search_explanation import explain_search
+    from kinedex.pipelines.keyframes.store_search import load_query_file, save_hits, search_remarks, search_store
 
     output.check()
     if explain and save is not None:
@@ -171,7 +171,7 @@ def from_clip(
     as_json: JsonOption = False,
 ) -> None:
     """Propose a keyframe query for an example, as YAML to be edited."""
-    from kinedex.pipelines.search.query_proposal import propose_query
+    from kinedex.pipelines.keyframes.proposed_query import propose_query
     from kinedex.pipelines.templates.stored_templates import clip_range
 
     opened = open_for_reading(store, at)
@@ -231,13 +231,13 @@ def show(
 
     Precision and recall are those of all queries of a class together and stand on its first row only.
     """
-    from kinedex.console.tables import Shown, wrapped
+    from kinedex.console.tables import PrintedTable, wrapped
     from kinedex.console.terminal import make_console
-    from kinedex.pipelines.keyframes.stored_queries import LEGEND, overview
+    from kinedex.pipelines.keyframes.stored_queries import LEGEND, queries_overview
 
     opened = open_for_reading(store, at)
     found = _stored(opened, name, pipeline)
-    table = overview(found.outcomes, opened.feature_set, found.classes)
+    table = queries_overview(found.outcomes, opened.feature_set, found.classes)
     if as_json:
         print_json({"store": store, "stage": found.stage, "queries": table})
         return
@@ -246,7 +246,7 @@ def show(
         return
     console = make_console()
     # a terminal wraps by itself, to its own width
-    console.print(Shown(table if console.is_terminal else wrapped(table, "keyframes", 76), null=""))
+    console.print(PrintedTable(table if console.is_terminal else wrapped(table, "keyframes", 76), null=""))
     console.print(LEGEND, markup=False)
 
 
@@ -264,7 +264,7 @@ def export(
     """Write learned queries as a query file, to edit and to search with."""
     from kinedex.catalog.queries.query_writer import write_queries
     from kinedex.pipelines.engine.page_files import write_page
-    from kinedex.pipelines.keyframes.learning import keyframe_queries
+    from kinedex.pipelines.keyframes.query_learning import keyframe_queries
 
     if output is not None and output.suffix.lower() not in (".yaml", ".yml"):
         raise KinedexError(f"--output {output}: the name of a query file ends in .yaml, or it cannot be searched with")

@@ -29,8 +29,8 @@ from kinedex.ops.wording import visible
 
 if TYPE_CHECKING:
     from kinedex.ops.templates.templates import Kind
-    from kinedex.pipelines.ranking.ranked_hits import Ranking
-    from kinedex.pipelines.ranking.store_ranking import StoreRanking
+    from kinedex.pipelines.templates.ranked_hits import Ranking
+    from kinedex.pipelines.templates.store_ranking import StoreRanking
 
 
 template = group("template", "Show, compare and make motion templates.", ASK)
@@ -83,7 +83,7 @@ def rank(
 ) -> None:
     """Rank the places of an archive by how well templates fit."""
     from kinedex.catalog.queries.query_reader import read_queries
-    from kinedex.pipelines.ranking.store_ranking import RankingQuestion, rank_store
+    from kinedex.pipelines.templates.store_ranking import RankingQuestion, rank_store
     from kinedex.pipelines.templates.stored_templates import clip_range, template_from_clip
 
     names = list(dict.fromkeys(templates or ()))
@@ -218,7 +218,7 @@ def show(
     from kinedex.console.terminal import make_console
     from kinedex.ops.templates.templates import NamedTemplate
     from kinedex.pipelines.templates.stored_templates import choose_template, write_template
-    from kinedex.pipelines.templates.template_text import heading, template_lines
+    from kinedex.pipelines.templates.template_text import template_heading, template_lines
     from kinedex.reports.matrix_figures import template_figure, write_figure
 
     pages.check()
@@ -230,10 +230,10 @@ def show(
             console.print(visible(line), markup=False)
     elif output is not None and output.suffix.lower() in (".yaml", ".yml", ".csv"):
         write_template(
-            NamedTemplate(name, one.learned.template, heading(one, opened.rate_hz)), opened.feature_set, output
+            NamedTemplate(name, one.learned.template, template_heading(one, opened.rate_hz)), opened.feature_set, output
         )
     elif output is not None:
-        note = heading(one, opened.rate_hz).split(": ", 1)[1]
+        note = template_heading(one, opened.rate_hz).split(": ", 1)[1]
         figure = template_figure(one.learned.template, name, note, delta, opened.feature_set, opened.rate_hz)
         write_figure(figure, output)
     if output is not None and not as_json:
@@ -243,7 +243,7 @@ def show(
     if as_json:
         features = [feature.name for feature in opened.feature_set.features]
         values = one.learned.template.values.round(6).tolist()
-        about = {"class": name, "kind": kind, "about": heading(one, opened.rate_hz), "features": features}
+        about = {"class": name, "kind": kind, "about": template_heading(one, opened.rate_hz), "features": features}
         print_json({"store": store, **about, "values": values, "file": output})
 
 

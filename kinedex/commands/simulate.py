@@ -45,11 +45,11 @@ def cameras(
     """
     from kinedex.console.terminal import Terminal
     from kinedex.ops.simulation.recording import LONG, CameraRing, Detector, FailureRate, Setup
-    from kinedex.pipelines.simulation.camera_recordings import RECORDINGS, Request, simulate_cameras
+    from kinedex.pipelines.simulation.simulated_cameras import RECORDINGS, CameraRequest, simulate_cameras
 
     rate = replace(LONG if long else FailureRate(), per_second=failures)
     setup = Setup(CameraRing(count), Detector(noise_px=noise), rate)
-    request = Request(tuple(takes or ()), where, seed, setup, keypoints, form, silhouettes)
+    request = CameraRequest(tuple(takes or ()), where, seed, setup, keypoints, form, silhouettes)
     made = simulate_cameras(open_for_reading(store, at), request, output, Terminal().progress)
     number = counted(len(made.recordings), "recording")
     line = f"{number} of {made.frames:,} frames with {counted(made.failures, 'failure')}, in {made.folder}"
@@ -81,10 +81,10 @@ def depth(
     the camera. DIR/truth has the true joints. The same command makes the same bytes.
     """
     from kinedex.console.terminal import Terminal
-    from kinedex.pipelines.simulation.depth_recordings import RECORDINGS, Request, simulate_depth
+    from kinedex.pipelines.simulation.simulated_depth import RECORDINGS, DepthRequest, simulate_depth
 
     interval = None if frames is None else interval_of(frames)
-    request = Request(tuple(takes or ()), where, seed, camera, body, azimuth, interval)
+    request = DepthRequest(tuple(takes or ()), where, seed, camera, body, azimuth, interval)
     made = simulate_depth(open_for_reading(store, at), request, output, Terminal().progress)
     lines = [
         f"{name}: {counted(number, 'frame')} with a joint near the camera, or outside the image"
@@ -132,11 +132,11 @@ def imu(
     and clocks. Pieces of takes shorter than a window are left out. The same command makes the same bytes.
     """
     from kinedex.console.terminal import Terminal
-    from kinedex.pipelines.simulation.imu_recordings import README, Request, Windowing, simulate_imu
-    from kinedex.pipelines.simulation.imu_sensors import Wearing
+    from kinedex.pipelines.simulation.imu_recordings import README, ImuRequest, Windowing, simulate_imu
+    from kinedex.pipelines.simulation.imu_sensors import WearOptions
 
-    wearing = Wearing(seed, rate, stand_s=stand, mount=mount)
-    request = Request(tuple(limbs or ()), grade, wearing, form, Windowing(window, step))
+    wearing = WearOptions(seed, rate, stand_s=stand, mount=mount)
+    request = ImuRequest(tuple(limbs or ()), grade, wearing, form, Windowing(window, step))
     made = simulate_imu(open_for_reading(store, at), takes or (), where, request, output, Terminal().progress)
     line = f"{counted(len(made.recordings), 'take')}, {made.seconds:,.1f} s, {made.samples:,} samples, in {output}"
     _report(asdict(made) | {"folder": output}, [*made.remarks(), line], output / README, as_json)

@@ -25,7 +25,7 @@ from kinedex.commands.options import (
 from kinedex.commands.output import print_json, print_message, print_path
 from kinedex.commands.pages import Pages
 from kinedex.ops.errors import KinedexError, did_you_mean
-from kinedex.ops.wording import counted, few, visible
+from kinedex.ops.wording import counted, name_list, visible
 
 if TYPE_CHECKING:
     import pyarrow as pa
@@ -214,7 +214,7 @@ def _nothing_chosen(store: Store, where: str) -> str:
     found = []
     for name in (word for word in words if word in texts):
         values = sorted({value for value in every.column(name).to_pylist() if value is not None})
-        shown = few([f"'{value}'" for value in values])
+        shown = name_list([f"'{value}'" for value in values])
         found.append(f"{name} has {shown}" if values else f"{name} has no value")
     return f"no take of {counted(every.num_rows, 'take')} fits" + "".join(f"; {one}" for one in found)
 
@@ -254,6 +254,6 @@ def explore(
         port,
         read_only=read_only,
         browser=not no_browser,
-        say=lambda text: print(text, flush=True),
+        message=lambda text: print(text, flush=True),
         warn=lambda text: print(f"warning: {text}", file=sys.stderr, flush=True),
     )

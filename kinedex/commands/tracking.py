@@ -22,7 +22,7 @@ from kinedex.commands.options import (
 from kinedex.commands.output import print_json, print_message, show_outcome, show_table
 
 if TYPE_CHECKING:
-    from kinedex.pipelines.tracking.runs import Explanation
+    from kinedex.pipelines.tracking.tracking_runs import Explanation
 
 OnlyOption = Annotated[
     list[str] | None, typer.Option("--only", metavar="NAME", help="Only this recording; may be repeated.")
@@ -79,7 +79,7 @@ def stabilise(
     from kinedex.console.terminal import Terminal, message_console
     from kinedex.pipelines.engine.executors import make_executor
     from kinedex.pipelines.tracking.parameters import TrackParameters, stabilise_parameters
-    from kinedex.pipelines.tracking.runs import explanations, stabilise_stored
+    from kinedex.pipelines.tracking.tracking_runs import explanations, stabilise_stored
     from kinedex.storage.store.store import open_store
 
     given: dict[str, object] = {"tau": tau, "rounds": rounds, "body": body, "classes": classes}

@@ -14,19 +14,19 @@ from pathlib import Path
 from rich.console import Console
 
 from kinedex.catalog.sql.views import MACROS, VIEWS, Macro, View
-from kinedex.console.tables import Shown
+from kinedex.console.tables import PrintedTable
 from kinedex.ops.errors import KinedexError, did_you_mean
-from kinedex.ops.wording import counted, few
+from kinedex.ops.wording import counted, name_list
 from kinedex.storage.interruption import abandoned_statements
 from kinedex.storage.snapshot.manifest import Manifest
-from kinedex.storage.snapshot.shown_results import (
+from kinedex.storage.snapshot.visible_results import (
     PIPELINE_KINDS,
     all_parts,
     pipeline_of,
     shown_parts,
     shown_pipeline,
 )
-from kinedex.storage.sql.queries import Answer, split_statements
+from kinedex.storage.sql.queries import QueryResult, split_statements
 from kinedex.storage.store.store import Store
 
 _QUOTED = re.compile(r"'(?:[^']|'')*'|--[^\n]*|/\*.*?\*/", re.DOTALL)
@@ -50,7 +50,7 @@ def hidden_rows_hints(store: Store, statement: str, rows: int) -> list[str]:
         shown = sum(part.rows for part in shown_parts(store.manifest, kind))
         others = _hidden(store.manifest, kind)
         if others and (not shown or not rows):
-            names = few([f"{name} ({counted(count, 'row')})" for name, count in others.items()])
+            names = name_list([f"{name} ({counted(count, 'row')})" for name, count in others.items()])
             current = shown_pipeline(store.manifest, kind)
             hints.append(
                 f"{kind} shows {counted(shown, 'row')} of pipeline {current}; all_{kind} has those of {names}, too, "
@@ -159,13 +159,13 @@ def _answer(console: Console, work: Callable[[], None]) -> bool:
 
 def _select(store: Store, console: Console, statement: str, timeout: float | None, max_rows: int | None) -> None:
     found = store.answer(statement, timeout=timeout, max_rows=max_rows)
-    console.print(Shown(found.table))
+    console.print(PrintedTable(found.table))
     console.print(rows_line(found), markup=False)
     for hint in hidden_rows_hints(store, statement, found.rows):
         console.print(hint, markup=False)
 
 
-def rows_line(found: Answer) -> str:
+def rows_line(found: QueryResult) -> str:
     """Return the line with the number of rows, and of shown rows if these are fewer."""
     rows = f"{'' if found.counted else 'more than '}{found.rows:,} row{'' if found.rows == 1 else 's'}"
     shown = found.table.num_rows
@@ -183,7 +183,7 @@ def _dot(store: Store, console: Console, words: list[str]) -> None:
             query = (
                 "SELECT table_name AS view, column_name AS column, data_type AS type FROM information_schema.columns"
             )
-            console.print(Shown(store.sql(f"{query} ORDER BY table_name, ordinal_position")))
+            console.print(PrintedTable(store.sql(f"{query} ORDER BY table_name, ordinal_position")))
         case [".schema" | ".help", name]:
             known = _views(store) | {macro.name for macro in MACROS}
             if name not in known:
@@ -216,7 +216,7 @@ def _describe(store: Store, console: Console, command: str, name: str) -> None:
             console.print(f"  {argument}: {text}", markup=False)
     else:
         query = "SELECT column_name AS column, data_type AS type FROM information_schema.columns WHERE table_name = $1"
-        console.print(Shown(store.sql(f"{query} ORDER BY ordinal_position", [name])))
+        console.print(PrintedTable(store.sql(f"{query} ORDER BY ordinal_position", [name])))
 
 
 @contextmanager

@@ -20,7 +20,7 @@ from rich.table import Table
 from rich.text import Text
 
 from kinedex.ops.errors import KinedexError, did_you_mean
-from kinedex.ops.wording import counted, few, visible, visible_text
+from kinedex.ops.wording import counted, name_list, visible, visible_text
 from kinedex.pipelines.engine.display import Line, ResultTable
 from kinedex.storage.formats.csv_tables import csv_line
 from kinedex.storage.formats.json_text import json_text, json_value
@@ -53,7 +53,7 @@ _TALL_FIRST = 12
 _STYLES = {"plain": "", "main": "bold", "better": "green", "worse": "red", "doubtful": "yellow"}
 """The rich style of each tone of a line or cell."""
 
-_LEAST = 3
+_MIN_COLUMNS = 3
 """Minimum number of columns of a table; if fewer fit, each row is printed as a block."""
 
 _WORD = 48
@@ -71,7 +71,7 @@ _LATE = re.compile(r"(^|_)(id|run|checksum|recipe|root|source|mtime|bytes|finger
 """Names of columns of least interest to users: keys, checksums and places."""
 
 
-class Shown:
+class PrintedTable:
     """An Arrow table that rich prints in a form for a terminal, a file or a pipe; no value is ever cut.
 
     In a file or a pipe a row is one line, however long. In a terminal, columns share the width and long values are
@@ -100,7 +100,8 @@ class Shown:
             yield rich_table(self._table.select(names) if others else self._table, self._null)
             if others:
                 remark = (
-                    f"{counted(len(others), 'more column')} that would not fit: {few(list(map(visible, others)))}; a "
+                    f"{counted(len(others), 'more column')} that would not fit: "
+                    f"{name_list(list(map(visible, others)))}; a "
                     "wider terminal shows more, `| less -S` and --format json show all"
                 )
                 yield Text(textwrap.fill(remark, options.max_width, break_on_hyphens=False))
@@ -132,7 +133,7 @@ class Shown:
         if 0 < len(rows) <= FEW_ROWS or len(set(names)) < len(names) or (len(names) < MANY_COLUMNS and tall):
             return None  # few rows, or few columns with long texts, all of which should be shown
         fitting = _fitting({texts[0]: min(_CAP, max(map(cell_len, texts))) for texts in columns}, options.max_width)
-        return fitting if len(fitting) >= _LEAST else None if rows else names
+        return fitting if len(fitting) >= _MIN_COLUMNS else None if rows else names
 
     def _is_tall(self, tried: pa.Table, console: Console, options: ConsoleOptions) -> bool:
         """Return whether rich breaks names of columns, or a row into many lines."""

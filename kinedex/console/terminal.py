@@ -37,7 +37,7 @@ LOG_SHARE = 0.02
 
 
 @dataclass
-class PulseStep:
+class ProgressStep:
     """A step that may take long: its name, and how much of it is done."""
 
     name: str
@@ -58,7 +58,7 @@ class PulseStep:
         return (now - self.begun) * (self.total - self.done) / self.done
 
 
-class Pulse:
+class ProgressLines:
     """Prints a line about the innermost running step at intervals.
 
     Parameters
@@ -69,7 +69,7 @@ class Pulse:
 
     def __init__(self, show: Callable[[str], None]) -> None:
         self._show = show
-        self._steps: list[PulseStep] = []
+        self._steps: list[ProgressStep] = []
         self._spoken = 0.0
         self._end = threading.Event()
 
@@ -78,9 +78,9 @@ class Pulse:
         self._spoken = time.monotonic()
 
     @contextmanager
-    def during(self, name: str, total: int | None = None) -> Iterator[PulseStep]:
+    def activity(self, name: str, total: int | None = None) -> Iterator[ProgressStep]:
         """Report a step while the block runs; the step's `done` counts what is finished."""
-        step = PulseStep(name, total)
+        step = ProgressStep(name, total)
         self._steps.append(step)
         thread = None
         if len(self._steps) == 1:
@@ -205,7 +205,7 @@ class _Escaped:
 class Progress:
     """One progress bar; a context manager. Outside a terminal, it prints a line from time to time."""
 
-    def __init__(self, console: Console, pulse: Pulse, description: str, total: int | None) -> None:
+    def __init__(self, console: Console, pulse: ProgressLines, description: str, total: int | None) -> None:
         from rich.progress import BarColumn, MofNCompleteColumn, TextColumn, TimeElapsedColumn, TimeRemainingColumn
         from rich.progress import Progress as Bars
 
@@ -220,7 +220,7 @@ class Progress:
             disable=console.quiet or not console.is_terminal,
         )
         self._task = self._bars.add_task(description, total=total)
-        self._during = pulse.during(description, total)
+        self._during = pulse.activity(description, total)
 
     def __enter__(self) -> Progress:
         self._bars.start()
@@ -244,18 +244,18 @@ class Terminal:
 
     def __init__(self, console: Console | None = None) -> None:
         self.console = console or message_console()
-        self._pulse = Pulse(self._beat)
+        self._pulse = ProgressLines(self._beat)
 
     def _beat(self, text: str) -> None:
         """Print a line about a long step, unless a terminal shows a bar."""
         if not self.console.is_terminal:
             self.console.print(f"    {visible_lines(text)}", markup=False)
 
-    def during(self, name: str) -> AbstractContextManager[object]:
+    def activity(self, name: str) -> AbstractContextManager[object]:
         """Report a step every now and then while a `with` statement runs."""
-        return self._pulse.during(name)
+        return self._pulse.activity(name)
 
-    def say(self, text: str) -> None:
+    def message(self, text: str) -> None:
         """Print one indented line without markup; a terminal wraps a long line between words."""
         text = visible_lines(text)
         if self.console.is_terminal:

@@ -20,16 +20,16 @@ from kinedex.library.template import Template
 from kinedex.ops.errors import KinedexError
 from kinedex.ops.wording import counted
 from kinedex.ops.words import ALL_KNOWN, TakeWords
+from kinedex.pipelines.annotation.annotation_tables import annotations_table
 from kinedex.pipelines.annotation.annotators import Annotator, make_annotator
 from kinedex.pipelines.annotation.batches import TakeAnnotation, annotate_words, split_takes
 from kinedex.pipelines.annotation.confidence_calibration import uncalibrated
 from kinedex.pipelines.annotation.methods import annotation_method
 from kinedex.pipelines.annotation.parameters import least_frames
-from kinedex.pipelines.annotation.tables import annotations_table
 from kinedex.pipelines.evaluation.annotation_scores import evaluate as compare_with_truth
 from kinedex.pipelines.evaluation.annotation_scores import metrics_rows
 from kinedex.pipelines.evaluation.ground_truth import GroundTruth, Manual, place_ground_truth
-from kinedex.pipelines.search.not_applied import known_of
+from kinedex.pipelines.keyframes.applicability import known_masks
 from kinedex.storage.formats.labels.formats import read_labels
 from kinedex.storage.store.store import data_frame
 
@@ -143,13 +143,13 @@ class _LoadedWords:
         """Return the classes of those takes that have one."""
         return {str(take.info["class"]) for take in self.takes if take.info.get("class")}
 
-    def words(self, places: Sequence[int]) -> TakeWords:
+    def words(self, positions: Sequence[int]) -> TakeWords:
         """Return the words of the takes with some indices."""
-        every = [self.takes[place].words() for place in places]
+        every = [self.takes[place].words() for place in positions]
         offsets = np.cumsum([0, *map(len, every)]).astype(np.int64)
-        masks = np.array([self.takes[place].known for place in places], np.uint64)
+        masks = np.array([self.takes[place].known for place in positions], np.uint64)
         known = None if (masks == ALL_KNOWN).all() else masks
-        return TakeWords(np.array(places, np.int64), offsets, np.concatenate(every), known)
+        return TakeWords(np.array(positions, np.int64), offsets, np.concatenate(every), known)
 
     def annotate(self, annotator: Annotator) -> Iterator[TakeAnnotation]:
         """Annotate the takes batch by batch."""
@@ -190,7 +190,7 @@ class _StoredWords:
 
     def known(self) -> dict[int, int]:
         """Return a dict from take id to mask of known features, for the takes that lack features."""
-        return known_of(self.store.stored.known, self.names)
+        return known_masks(self.store.stored.known, self.names)
 
     def every_word(self) -> list[Any]:
         """Return the words of all takes of the store, annotated or not."""

@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 
     import polars as pl
 
-    from kinedex.pipelines.labels.decisions import Recorded
+    from kinedex.pipelines.labels.decisions import RecordedDecisions
 
 
 @checked_methods
@@ -75,10 +75,12 @@ class Labels:
         >>> store.labels.table().columns[:5]
         ['take', 'take_id', 'class', 'start', 'stop']
         """
-        from kinedex.pipelines.labels.selection import Selection, selected
+        from kinedex.pipelines.labels.row_selection import RowSelection, selected_rows
         from kinedex.storage.sql.result_scans import shown_labels
 
-        found = selected(shown_labels(self._stored), Selection(where=where, every=True), "label", keep_order=True)
+        found = selected_rows(
+            shown_labels(self._stored), RowSelection(where=where, every=True), "label", keep_order=True
+        )
         return found if history else found.filter(found["current"]).drop("current")
 
     def add(
@@ -121,7 +123,7 @@ class Labels:
         >>> store.labels.remove(made["id"]).height
         1
         """
-        from kinedex.pipelines.labels.decisions import record
+        from kinedex.pipelines.labels.decisions import record_decisions
 
         given = [dict(row) for row in (rows.to_dicts() if hasattr(rows, "to_dicts") else rows)]
         frames = dict(zip(self._stored.take_ids, self._stored.take_rows.column("frames").to_pylist(), strict=True))
@@ -135,7 +137,7 @@ class Labels:
             row["origin"] = row.get("origin") or "drawn"
             row["annotator"] = row.get("annotator") or annotator
             row["note"] = row.get("note") or note
-        return _rows(record(self._stored, given))
+        return _rows(record_decisions(self._stored, given))
 
     def change(
         self,
@@ -183,7 +185,7 @@ class Labels:
         >>> store.labels.remove(changed["id"]).height
         1
         """
-        from kinedex.pipelines.labels.edits import change_label
+        from kinedex.pipelines.labels.label_edits import change_label
 
         values = {"class": label, "start": start, "stop": stop, "verdict": verdict}
         return _rows(change_label(self._stored, id, annotator=annotator, **values))
@@ -216,10 +218,10 @@ class Labels:
         >>> store.labels.remove(made["id"], note="a slip")["verdict"].to_list()
         ['withdrawn']
         """
-        from kinedex.pipelines.labels.decisions import labels_by_id, withdraw
+        from kinedex.pipelines.labels.decisions import labels_by_id, withdraw_labels
 
         found = labels_by_id(self._stored, list(ids))
-        return _rows(withdraw(self._stored, found, annotator=annotator, note=note))
+        return _rows(withdraw_labels(self._stored, found, annotator=annotator, note=note))
 
     def accept(
         self, annotations: pl.DataFrame, *, annotator: str | None = None, note: str | None = None
@@ -281,12 +283,12 @@ class Labels:
         return self._decide(annotations, False, annotator, note)
 
     def _decide(self, annotations: pl.DataFrame, accept: bool, annotator: str | None, note: str | None) -> pl.DataFrame:
-        from kinedex.pipelines.labels.decisions import decide
+        from kinedex.pipelines.labels.decisions import decide_annotations
 
         missing = [name for name in ("take", "class", "start", "stop") if name not in annotations.columns]
         if missing:
             raise ParameterError("annotations", "rows of the view annotations", f"a table without {missing[0]}")
-        return _rows(decide(self._stored, annotations, accept=accept, annotator=annotator, note=note))
+        return _rows(decide_annotations(self._stored, annotations, accept=accept, annotator=annotator, note=note))
 
     def read(
         self,
@@ -343,7 +345,7 @@ class Labels:
         return _rows(import_labels(self._stored, found, corrects, stage, annotator=annotator, note=note))
 
 
-def _rows(done: Recorded) -> pl.DataFrame:
+def _rows(done: RecordedDecisions) -> pl.DataFrame:
     """Return the new rows; what was excluded is a warning."""
     import warnings
 

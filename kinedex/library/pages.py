@@ -65,7 +65,7 @@ def write_page(
     'squats.html'
     """
     from kinedex.ops.wording import counted
-    from kinedex.reports.motion_pages.hits import HitsPage, template_examples, write_hits_page
+    from kinedex.reports.motion_pages.hits_page import HitsPage, template_examples, write_hits_page
 
     file = Path(path)
     if file.suffix.lower() not in (".html", ".htm"):

@@ -267,12 +267,12 @@ class Store(TakeSearch):
 
         from kinedex.console.terminal import collecting_terminal
         from kinedex.pipelines.engine.executors import make_executor
-        from kinedex.pipelines.export.export import export_data_set
-        from kinedex.pipelines.export.request import How, What, source_of
+        from kinedex.pipelines.export.data_set import export_data_set
+        from kinedex.pipelines.export.request import ClipOptions, IntervalSource, source_of
 
         kind, name = source_of(annotations=annotations, labels=labels, hits=hits, ranges=ranges, sql=sql)
-        what = What(kind, name, tuple(takes), where, tuple(classes), pipeline, min_confidence)
-        how = How(
+        what = IntervalSource(kind, name, tuple(takes), where, tuple(classes), pipeline, min_confidence)
+        how = ClipOptions(
             format, joints, margin, context, min_length, mirror, resample, in_place, split, tuple(shares), seed,
             balance, per_class, distinct,
         )  # fmt: skip

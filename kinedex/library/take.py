@@ -178,7 +178,7 @@ class Take:
         return f"Take({self.label!r}, {self._length} frames, {self.seconds:.2f} s)"
 
     def _repr_html_(self) -> str:
-        from kinedex.reports.notebook_html import Shown, take_html
+        from kinedex.reports.notebook_html import ShownTake, take_html
 
         facts = [
             ("frames", f"{len(self):,} at {self.rate_hz:g} Hz, {self.seconds:.2f} s"),
@@ -187,7 +187,7 @@ class Take:
             *(("warning", warning) for warning in self.warnings),
         ]
         played = self[: round(PLAYED_SECONDS * self.rate_hz)].positions
-        return take_html(Shown(self.label, facts, self.joints, played, len(self), self.rate_hz))
+        return take_html(ShownTake(self.label, facts, self.joints, played, len(self), self.rate_hz))
 
     @property
     def label(self) -> str:
@@ -344,11 +344,17 @@ def feature_table(words: U64, feature_set: FeatureSet, known: int) -> pl.DataFra
 
 def take_of_body(name: str, body: Body, feature_set: FeatureSet, about: Mapping[str, Any] | None = None) -> Take:
     """Compute the words of a body as ingest does, and return it as a take."""
-    from kinedex.pipelines.ingestion.analysis import QUALITY_COLUMNS, analyse, blind, judged, known_features
+    from kinedex.pipelines.ingestion.analysis import (
+        QUALITY_COLUMNS,
+        analyse,
+        known_features,
+        measured_quality,
+        unknown_feature_warnings,
+    )
 
     positions, orientation, words = analyse(body, feature_set, ANALYSIS_RATE_HZ)
     known = known_features(feature_set, body)
-    figures, doubts = judged(body, feature_set.joints, QUALITY_COLUMNS)
+    figures, doubts = measured_quality(body, feature_set.joints, QUALITY_COLUMNS)
     frames = Frames(
         np.ascontiguousarray(positions.transpose(2, 0, 1), np.float32),
         np.ascontiguousarray(orientation.T, np.float32),
@@ -365,7 +371,7 @@ def take_of_body(name: str, body: Body, feature_set: FeatureSet, about: Mapping[
         "frames": len(words),
         "seconds": in_seconds(body.frames, body.rate_hz),
         "invalid_frames": int(np.count_nonzero(words == NO_WORD)),
-        "warnings": [*body.warnings, *blind(feature_set, body), *doubts],
+        "warnings": [*body.warnings, *unknown_feature_warnings(feature_set, body), *doubts],
         "known": None if known == feature_set.every_bit else known,
         **figures,
     }

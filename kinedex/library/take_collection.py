@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     import polars as pl
     import pyarrow as pa
 
-    from kinedex.storage.duck import Connection
+    from kinedex.storage.duckdb_sql import Connection
 
 Parameters = Sequence[Any] | dict[str, Any] | None
 

@@ -63,7 +63,7 @@ class TakeSearch(TakeCollection):
         True
         """
         from kinedex.library.query import resolved_queries
-        from kinedex.pipelines.search.search import load_query_file, search_remarks, search_store
+        from kinedex.pipelines.keyframes.store_search import load_query_file, search_remarks, search_store
 
         if isinstance(query, str | Path):
             queries: Sequence[KeyframeQuery] = load_query_file(query, self.feature_set, rate_hz=self.rate_hz)
@@ -103,7 +103,7 @@ class TakeSearch(TakeCollection):
         """
         import polars as pl
 
-        from kinedex.pipelines.maps.archive_map import archive_map, trait_words
+        from kinedex.pipelines.inspection.archive_map import archive_map, trait_words
 
         if unit not in ("takes", "windows"):
             raise ParameterError("unit", "'takes' or 'windows'", unit)
@@ -117,8 +117,8 @@ class TakeSearch(TakeCollection):
                 "take": [self.stored.take_names[take_id] for take_id in found.take_ids.tolist()],
                 "start": found.starts,
                 "stop": found.stops,
-                "x": found.places[:, 0],
-                "y": found.places[:, 1],
+                "x": found.positions[:, 0],
+                "y": found.positions[:, 1],
                 "cluster": pl.Series(clusters, dtype=pl.Int64),
                 "traits": pl.Series([None if one is None else texts[one] for one in clusters], dtype=pl.String),
             }
@@ -188,8 +188,8 @@ class TakeSearch(TakeCollection):
         """Return a dict from name to words for clips that still exist in the store, as takes or intervals of takes."""
         from kinedex.pipelines.templates.examples import interval_of
 
-        places = {name: interval_of(name, self._rows) for name in names}
-        return {name: self.words(take)[frames] for name, (take, frames) in places.items() if take in self._rows}
+        positions = {name: interval_of(name, self._rows) for name in names}
+        return {name: self.words(take)[frames] for name, (take, frames) in positions.items() if take in self._rows}
 
     def rank(
         self,
@@ -252,7 +252,7 @@ class TakeSearch(TakeCollection):
         """
         from kinedex.library.query import resolved_queries
         from kinedex.library.template import Template
-        from kinedex.pipelines.ranking.store_ranking import RankingQuestion, rank_store
+        from kinedex.pipelines.templates.store_ranking import RankingQuestion, rank_store
 
         if top is not None and top < 1:
             raise ParameterError("top", "at least 1, or None", top)

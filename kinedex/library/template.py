@@ -17,14 +17,14 @@ from kinedex.ops.intervals import in_seconds
 from kinedex.ops.templates.derived_templates import Contrast, contrast
 from kinedex.ops.templates.templates import Kind, NamedTemplate
 from kinedex.ops.words import ALL_KNOWN, U64
-from kinedex.pipelines.templates.learning import (
+from kinedex.pipelines.templates.template_learning import (
     SubclassTemplate,
     as_subclass_template,
-    learned_of,
+    learn_template,
     learned_template,
     usable_clips,
 )
-from kinedex.pipelines.templates.template_text import contrast_lines, heading
+from kinedex.pipelines.templates.template_text import contrast_lines, template_heading
 
 if TYPE_CHECKING:
     import polars as pl
@@ -145,7 +145,7 @@ class Template:
         actors = {take.label: str(take.info.get("actor") or "") for take in every}
         training = usable_clips(called, words, known, actors)
         counts = feature_weights(weights or {}, features)
-        found = learned_template(training, kind, learned_of(training, kind, len(features.features), counts))
+        found = learned_template(training, kind, learn_template(training, kind, len(features.features), counts))
         return cls(found, features, every[0].rate_hz, lambda: words)
 
     @classmethod
@@ -268,7 +268,7 @@ class Template:
         str
             Name, kind, duration and origin.
         """
-        return heading(self.learned, self.rate_hz)
+        return template_heading(self.learned, self.rate_hz)
 
     def __len__(self) -> int:
         """Return the number of columns."""

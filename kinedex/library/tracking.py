@@ -153,7 +153,7 @@ def stabilise(
     from kinedex.console.terminal import Terminal, collecting_terminal
     from kinedex.pipelines.engine.executors import make_executor
     from kinedex.pipelines.tracking.parameters import TrackParameters, stabilise_parameters
-    from kinedex.pipelines.tracking.runs import explanations, stabilise_stored
+    from kinedex.pipelines.tracking.tracking_runs import explanations, stabilise_stored
     from kinedex.storage.lock import Wait
     from kinedex.storage.store.store import open_store
 
@@ -162,7 +162,7 @@ def stabilise(
     names = [takes] if isinstance(takes, str) else list(takes)
     terminal = Terminal() if verbose else collecting_terminal(io.StringIO())
     pool = make_executor(executor, workers)
-    wait = Wait(wait_seconds, terminal.say, "wait_seconds=600")
+    wait = Wait(wait_seconds, terminal.message, "wait_seconds=600")
     try:
         stabilise_stored(Path(store), names, params, tracker, pool, terminal, wait)
     finally:
@@ -309,7 +309,7 @@ class Reconstructor:
         form: Literal["best", "printed"] = "best",
         stride: int | None = None,
     ) -> None:
-        from kinedex.pipelines.reconstruction.live import LiveTracker
+        from kinedex.pipelines.reconstruction.live_tracker import LiveTracker
 
         self._tracker = LiveTracker.open(Path(store), Path(camera), body, background, rate_hz, form, stride)
         self.last: FrameResult | None = None

@@ -24,7 +24,7 @@ SPLITS = 2
 """
 
 _ROUNDS = 20
-_LEAST = 0.05  # probabilities of features stay at least this far from 0 and 1 while postures are learned
+_MIN_PROBABILITY = 0.05  # probabilities of features stay at least this far from 0 and 1 while postures are learned
 
 
 def background(words: Sequence[U64], features: int, splits: int = SPLITS) -> F64:
@@ -101,7 +101,7 @@ def _scores(on: F64, postures: F64) -> F64:
 
 def _belongings(on: F64, counts: I64, postures: F64) -> F64:
     """Return how many frames of each word belong to each posture, (V, K), by the posterior of the mixture."""
-    scores = _scores(on, np.clip(postures, _LEAST, 1.0 - _LEAST))
+    scores = _scores(on, np.clip(postures, _MIN_PROBABILITY, 1.0 - _MIN_PROBABILITY))
     shares = np.exp(scores - scores.max(axis=1, keepdims=True))
     result: F64 = shares / shares.sum(axis=1, keepdims=True) * counts[:, None]
     return result

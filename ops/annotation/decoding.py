@@ -22,8 +22,8 @@ from kinedex.ops.annotation.decoding_kernels import (
     Frames,
     backwards,
     forwards,
+    recomputed_at,
     rival_values,
-    summed_anew,
 )
 from kinedex.ops.arrays import F64, I64, U64, Bool
 from kinedex.ops.distances.dtw import distance_curves
@@ -79,7 +79,7 @@ class Decoding:
 
 
 @dataclass(frozen=True, order=True)
-class Explained:
+class ExplainedSegment:
     """A segment of a take that decoding assigns to a template.
 
     Parameters
@@ -122,7 +122,7 @@ def frames_of(words: U64 | Frames, usual: F64, decoding: Decoding) -> Frames:
     return Frames(np.ascontiguousarray(words), _offsets(vocabulary, usual, decoding)[codes])
 
 
-def lay_columns(templates: Sequence[Template], usual: F64, decoding: Decoding) -> Columns:
+def concatenated_columns(templates: Sequence[Template], usual: F64, decoding: Decoding) -> Columns:
     """Concatenate the columns of all templates for `explain` and `margins`; reuse them for many takes.
 
     Parameters
@@ -153,7 +153,7 @@ def explain(
     columns: Columns | None = None,
     promising: I64 | None = None,
     loose: I64 | None = None,
-) -> list[Explained]:
+) -> list[ExplainedSegment]:
     """Find the explanation of a take with the greatest value.
 
     A segment begins in a template's first column and ends in its last. From frame to frame it stays there (in the
@@ -173,7 +173,7 @@ def explain(
     ranges : sequence of int64 array (R, 2), optional
         For each template the half-open ranges that it may explain, ascending and disjoint; None: all frames.
     columns : Columns, optional
-        The result of `lay_columns` for the same templates, to reuse it.
+        The result of `concatenated_columns` for the same templates, to reuse it.
     promising : int64 array (R, 3), optional
         The result of `ops.annotation.promising_ranges` for the same arguments: the same explanation is found faster.
     loose : int64 array (R, 3), optional
@@ -194,24 +194,24 @@ def explain(
     frames = frames_of(words, usual, decoding)
     if not templates or not len(frames.words):
         return []
-    columns = columns or lay_columns(templates, usual, decoding)
+    columns = columns or concatenated_columns(templates, usual, decoding)
     allowed, changes = _allowed(ranges, len(templates), len(frames.words))
     if promising is not None:
         allowed, changes = _allowed_and_promising(allowed, changes, promising)
     origins = np.maximum(changes[:-1] - MAX_STEP + 1, 0)
     if loose is not None:
         allowed, changes = _allowed_and_promising(allowed, changes, loose)
-        origins = summed_anew(frames.words)[np.maximum(changes[:-1] - MAX_STEP + 1, 0)]
+        origins = recomputed_at(frames.words)[np.maximum(changes[:-1] - MAX_STEP + 1, 0)]
     value, winner = forwards(frames, columns, decoding.costs, allowed, changes, origins)
     found = backwards(frames, columns, decoding.costs, allowed, value, winner)
     return [
-        Explained(int(start), int(stop), int(template), float(value[stop] - value[start]))
+        ExplainedSegment(int(start), int(stop), int(template), float(value[stop] - value[start]))
         for start, stop, template in reversed(found)
     ]
 
 
 def margins(
-    found: Sequence[Explained],
+    found: Sequence[ExplainedSegment],
     templates: Sequence[Template],
     classes: I64,
     usual: F64,
@@ -238,7 +238,7 @@ def margins(
 
 
 def exclusive_shares(
-    found: Sequence[Explained],
+    found: Sequence[ExplainedSegment],
     templates: Sequence[Template],
     classes: I64,
     usual: F64,
@@ -278,7 +278,7 @@ def exclusive_shares(
     if not found:
         return np.empty(0)
     frames = frames_of(words, usual, decoding)
-    columns = columns or lay_columns(templates, usual, decoding)
+    columns = columns or concatenated_columns(templates, usual, decoding)
     starts, stops = (np.array([getattr(one, name) for one in found], np.int64) for name in ("start", "stop"))
     of_template = np.asarray(classes, np.int64)
     labels = of_template[[one.template for one in found]]

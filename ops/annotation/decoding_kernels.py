@@ -114,7 +114,7 @@ def forwards(
 
 
 @nb.njit(cache=True, nogil=True)
-def summed_anew(words: U64) -> I64:
+def recomputed_at(words: U64) -> I64:
     """Return for each frame the last frame, up to it, at which its log ratios are recomputed in full (kernel).
 
     Started there, `advance` computes the same log ratios as from the beginning of the take, to the last bit.

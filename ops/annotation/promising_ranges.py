@@ -18,7 +18,7 @@ from itertools import pairwise
 import numba as nb
 import numpy as np
 
-from kinedex.ops.annotation.decoding import Decoding, frames_of, lay_columns
+from kinedex.ops.annotation.decoding import Decoding, concatenated_columns, frames_of
 from kinedex.ops.annotation.decoding_kernels import MAX_STEP, Columns, Costs, Frames, change_ratios, step, sum_ratios
 from kinedex.ops.arrays import F32, F64, I64, U64
 from kinedex.ops.templates.templates import Template
@@ -58,7 +58,7 @@ class Group:
     intercepts: F32
 
 
-def lay_groups(templates: Sequence[Template], usual: F64, decoding: Decoding) -> list[Group]:
+def template_groups(templates: Sequence[Template], usual: F64, decoding: Decoding) -> list[Group]:
     """Arrange templates in groups for `promising_ranges`; reuse the groups for many takes.
 
     Parameters
@@ -83,7 +83,7 @@ def lay_groups(templates: Sequence[Template], usual: F64, decoding: Decoding) ->
         columns += length
     groups = []
     for first, stop in pairwise([*edges, len(templates)]) if templates else ():
-        laid = lay_columns(templates[first:stop], usual, decoding)
+        laid = concatenated_columns(templates[first:stop], usual, decoding)
         groups.append(Group(first, laid, laid.slopes.astype(np.float32), laid.intercepts.astype(np.float32)))
     return groups
 
@@ -94,7 +94,7 @@ def promising_ranges(groups: Sequence[Group], usual: F64, words: U64, decoding: 
     Parameters
     ----------
     groups : sequence of Group
-        The templates, see `lay_groups`.
+        The templates, see `template_groups`.
     usual : float64 array (K, f)
         The usual postures, see `ops.annotation.background.background`.
     words : uint64 array (L,)

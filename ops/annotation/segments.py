@@ -164,16 +164,17 @@ def annotate(matches: Matches, classes: I64, offsets: I64, threshold: float | F6
     begins[offsets] = True
     islands, curves = class_curves(matches.offsets, matches.starts, matches.ends, matches.costs, members, edges, begins)
     labels, *nearest = nearest_classes(islands, curves, int(offsets[-1]))
-    places, costs, sure = grow_runs(islands, curves, labels, *nearest, taus)
-    takes = np.searchsorted(offsets, places[:, 1], side="right") - 1
+    positions, costs, sure = grow_runs(islands, curves, labels, *nearest, taus)
+    takes = np.searchsorted(offsets, positions[:, 1], side="right") - 1
     subclasses = first_members(
-        places, costs, matches.offsets, matches.starts, matches.ends, matches.costs, members, edges
+        positions, costs, matches.offsets, matches.starts, matches.ends, matches.costs, members, edges
     )
-    order = np.lexsort((places[:, 0], places[:, 2], places[:, 1]))
+    order = np.lexsort((positions[:, 0], positions[:, 2], positions[:, 1]))
     bounds = np.searchsorted(takes[order], np.arange(len(offsets)))
     rows = zip(
-        (places[order, 1] - offsets[takes[order]]).tolist(), (places[order, 2] - offsets[takes[order]]).tolist(),
-        places[order, 0].tolist(), costs[order].tolist(), subclasses[order].tolist(), sure[order].tolist(), strict=True,
+        (positions[order, 1] - offsets[takes[order]]).tolist(), (positions[order, 2] - offsets[takes[order]]).tolist(),
+        positions[order, 0].tolist(), costs[order].tolist(), subclasses[order].tolist(), sure[order].tolist(),
+        strict=True,
     )  # fmt: skip
     segments = [Segment(*row) for row in rows]
     return [segments[start:stop] for start, stop in zip(bounds[:-1].tolist(), bounds[1:].tolist(), strict=True)]
@@ -283,7 +284,7 @@ def grow_runs(
     margins : float64 array (R,)
         From 0 to 1: 1 − the cost divided by the mean cost of the nearest other class in the segment, at most τ.
     """
-    places, found = np.empty((256, 4), np.int64), 0
+    positions, found = np.empty((256, 4), np.int64), 0
     for island in range(len(islands)):
         p, begin, stop = islands[island, 0], islands[island, 1], islands[island, 2]
         curve = values[islands[island, 3] : islands[island, 3] + stop - begin]
@@ -298,47 +299,47 @@ def grow_runs(
                 right += 1
             frame = right
             # A segment that grows into the one before it has the same end, or one further right.
-            wall = places[found - 1, 2] if found > before else begin
+            wall = positions[found - 1, 2] if found > before else begin
             while left > wall and not curve[left - 1 - begin] > curve[left - begin] + TOLERANCE:
                 left -= 1
             right = max(right, wall)
             while right < stop and not curve[right - begin] > curve[right - 1 - begin] + TOLERANCE:
                 right += 1
             if found > before and left <= wall:
-                places[found - 1, 2] = right
+                positions[found - 1, 2] = right
                 continue
-            if found == len(places):
-                places = np.concatenate((places, places))
-            places[found, 0], places[found, 1], places[found, 2], places[found, 3] = p, left, right, island
+            if found == len(positions):
+                positions = np.concatenate((positions, positions))
+            positions[found, 0], positions[found, 1], positions[found, 2], positions[found, 3] = p, left, right, island
             found += 1
     costs, sure = np.empty(found), np.empty(found)
     for place in range(found):
-        p, island = places[place, 0], places[place, 3]
+        p, island = positions[place, 0], positions[place, 3]
         shift = islands[island, 3] - islands[island, 1]
-        at, rivals = places[place, 1], 0.0
-        for frame in range(places[place, 1], places[place, 2]):
+        at, rivals = positions[place, 1], 0.0
+        for frame in range(positions[place, 1], positions[place, 2]):
             if values[frame + shift] < values[at + shift]:
                 at = frame
             rivals += min(second[frame] if nearest[frame] == p else least[frame], taus[p])
-        rival = rivals / (places[place, 2] - places[place, 1])
+        rival = rivals / (positions[place, 2] - positions[place, 1])
         costs[place] = values[at + shift]
         sure[place] = 1.0 - min(costs[place] / rival, 1.0) if rival > 0 else 0.0
-        places[place, 3] = at
-    return places[:found].copy(), costs, sure
+        positions[place, 3] = at
+    return positions[:found].copy(), costs, sure
 
 
 @nb.njit(cache=True, nogil=True)
 def first_members(
-    places: I64, least: F64, offsets: I64, starts: I64, ends: I64, costs: F64, members: I64, edges: I64
+    positions: I64, least: F64, offsets: I64, starts: I64, ends: I64, costs: F64, members: I64, edges: I64
 ) -> I64:
     """Return the first subclass of each segment's class with the lowest cost at its minimum (kernel)."""
     longest = np.zeros(len(offsets) - 1, np.int64)
     for s in range(len(longest)):
         for place in range(offsets[s], offsets[s + 1]):
             longest[s] = max(longest[s], ends[place] - starts[place])
-    result = np.full(len(places), -1, np.int64)
-    for segment in range(len(places)):
-        p, at = places[segment, 0], places[segment, 3]
+    result = np.full(len(positions), -1, np.int64)
+    for segment in range(len(positions)):
+        p, at = positions[segment, 0], positions[segment, 3]
         for member in range(edges[p], edges[p + 1]):
             s = members[member]
             place = offsets[s] + np.searchsorted(ends[offsets[s] : offsets[s + 1]], at)

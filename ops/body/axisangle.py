@@ -10,7 +10,7 @@ from kinedex.ops.arrays import F64
 from kinedex.ops.body import kinematics
 from kinedex.ops.errors import ParameterError
 
-_AT_ONCE = 4096  # frames at a time, so that the matrices take a few megabytes however long the take is
+_BLOCK_FRAMES = 4096  # frames at a time, so that the matrices take a few megabytes however long the take is
 
 
 def matrices(vectors: F64) -> F64:
@@ -39,7 +39,7 @@ def vectors(turned: F64) -> F64:
     return axis * ratio[:, None]
 
 
-def forward(rest: F64, parents: Sequence[int], turns: F64, places: F64) -> tuple[F64, F64]:
+def forward(rest: F64, parents: Sequence[int], rotations: F64, places: F64) -> tuple[F64, F64]:
     """Compute the joint positions of a body from the rotation of each joint relative to its parent.
 
     The skeleton of SMPL (Loper et al. 2015, Eq. 4): a joint's offset from its parent in the rest pose is rotated by the
@@ -51,7 +51,7 @@ def forward(rest: F64, parents: Sequence[int], turns: F64, places: F64) -> tuple
         The joints in the rest pose.
     parents : sequence of int
         The index of each joint's parent, smaller than its own; −1 for the first, the root.
-    turns : float64 array (T, J, 3)
+    rotations : float64 array (T, J, 3)
         Rotation vectors in radians.
     places : float64 array (T, 3)
         The displacement of the root from its rest position.
@@ -66,20 +66,20 @@ def forward(rest: F64, parents: Sequence[int], turns: F64, places: F64) -> tuple
     ParameterError
         If shapes do not agree, or a parent does not come before its child.
     """
-    joints, frames = len(rest), len(turns)
-    if rest.shape != (joints, 3) or turns.shape != (frames, joints, 3) or places.shape != (frames, 3):
-        shapes = (rest.shape, turns.shape, places.shape)
+    joints, frames = len(rest), len(rotations)
+    if rest.shape != (joints, 3) or rotations.shape != (frames, joints, 3) or places.shape != (frames, 3):
+        shapes = (rest.shape, rotations.shape, places.shape)
         raise ParameterError("rest, turns and places", "of shapes (J, 3), (T, J, 3) and (T, 3)", shapes)
     if len(parents) != joints or parents[0] != -1 or any(not 0 <= parents[j] < j for j in range(1, joints)):
         raise ParameterError("parents", "indices of earlier joints, and -1 for the first", list(parents))
     positions = np.empty((joints, 3, frames))
     root = np.empty((9, frames))
-    for start in range(0, frames, _AT_ONCE):
-        part = slice(start, start + _AT_ONCE)
+    for start in range(0, frames, _BLOCK_FRAMES):
+        part = slice(start, start + _BLOCK_FRAMES)
         whole: list[F64] = []
         at: list[F64] = []
         for j, parent in enumerate(parents):
-            turned = matrices(turns[part, j])
+            turned = matrices(rotations[part, j])
             if parent < 0:
                 whole.append(turned)
                 at.append(rest[j] + places[part])

@@ -119,5 +119,5 @@ def body_height(body: ChainBody, low: tuple[int, ...], high: int) -> float:
 
 def rest_joints(body: ChainBody) -> F64:
     """Return the joints (J, 3) of a body at rest in metres, with the first node at the origin."""
-    turns = np.broadcast_to(np.eye(3), (1, len(body.chain.nodes), 3, 3)).copy()
-    return np.ascontiguousarray(forward(body, Poses(np.zeros((1, 3)), turns))[0][:, :, 0])
+    rotations = np.broadcast_to(np.eye(3), (1, len(body.chain.nodes), 3, 3)).copy()
+    return np.ascontiguousarray(forward(body, Poses(np.zeros((1, 3)), rotations))[0][:, :, 0])

@@ -45,38 +45,38 @@ def facing_yaw(left: F64, right: F64) -> F64:
     return np.where((x == 0.0) & (z == 0.0), np.nan, np.arctan2(-z, x))
 
 
-def turn_about_y(places: F64, yaw: float) -> F64:
+def turn_about_y(positions: F64, yaw: float) -> F64:
     """Rotate positions about the Y axis by the angle yaw, from +Z towards +X.
 
     Parameters
     ----------
-    places : float64 array (…, 3)
+    positions : float64 array (…, 3)
         Places or directions.
     yaw : float
         Radians.
     """
     cosine, sine = math.cos(yaw), math.sin(yaw)
-    x, y, z = np.moveaxis(places, -1, 0)
+    x, y, z = np.moveaxis(positions, -1, 0)
     return np.stack([cosine * x + sine * z, y, cosine * z - sine * x], axis=-1)
 
 
-def start_at_origin(places: F64, placement: Placement) -> F64:
+def start_at_origin(positions: F64, placement: Placement) -> F64:
     """Move and rotate positions so that a body with this placement stands at the origin facing +Z; heights stay.
 
     Parameters
     ----------
-    places : float64 array (…, 3)
+    positions : float64 array (…, 3)
         Metres, Y up.
     placement : Placement
         The body's place on the ground before.
     """
-    return turn_about_y(places - np.array([placement.x, 0.0, placement.z]), -placement.yaw)
+    return turn_about_y(positions - np.array([placement.x, 0.0, placement.z]), -placement.yaw)
 
 
-def turned_quaternions(turns: F64, yaw: float) -> F64:
+def turned_quaternions(rotations: F64, yaw: float) -> F64:
     """Return quaternions (…, 4) w, x, y, z, rotated about the Y axis by yaw radians."""
     a, c = math.cos(yaw / 2.0), math.sin(yaw / 2.0)
-    w, x, y, z = np.moveaxis(turns, -1, 0)
+    w, x, y, z = np.moveaxis(rotations, -1, 0)
     return np.stack([a * w - c * y, a * x + c * z, a * y + c * w, a * z - c * x], axis=-1)
 
 
@@ -111,12 +111,12 @@ def mirrored_names(names: Sequence[str]) -> list[str]:
     return [others[name] if others[name] in known and name[:1] in "lr" else name for name in names]
 
 
-def mirrored_places(places: F64, names: Sequence[str]) -> F64:
+def mirrored_positions(positions: F64, names: Sequence[str]) -> F64:
     """Return the joint positions of a body's mirror image.
 
     Parameters
     ----------
-    places : float array (T, J, 3)
+    positions : float array (T, J, 3)
         Places of joints; NaN where a joint is not known.
     names : sequence of str
         The J joints; those that begin with l and r are pairs (`mirrored_names`).
@@ -128,12 +128,12 @@ def mirrored_places(places: F64, names: Sequence[str]) -> F64:
     """
     index = {name: j for j, name in enumerate(names)}
     order = np.array([index[name] for name in mirrored_names(names)], np.int64)
-    return places[:, order] * np.array([-1, 1, 1], places.dtype)
+    return positions[:, order] * np.array([-1, 1, 1], positions.dtype)
 
 
-def mirrored_quaternions(turns: F64) -> F64:
+def mirrored_quaternions(rotations: F64) -> F64:
     """Return the orientations of mirror images, float array (…, 4) w, x, y, z.
 
     They belong to a body whose own axes are mirrored, too: its left is +X as before.
     """
-    return turns * np.array([1, 1, -1, -1], turns.dtype)
+    return rotations * np.array([1, 1, -1, -1], rotations.dtype)

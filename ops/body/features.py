@@ -14,7 +14,7 @@ from kinedex.ops.arrays import F64, I64, U64, Bool
 from kinedex.ops.body import primitives as p
 from kinedex.ops.body.feature_rules import JOINTS_OF, Primitive, Rule, Term
 from kinedex.ops.errors import ParameterError
-from kinedex.ops.words import MOST_FEATURES, NO_WORD
+from kinedex.ops.words import MAX_FEATURES, NO_WORD
 
 Pairs = tuple[tuple[int, int], ...]
 
@@ -86,8 +86,8 @@ def words(
         raise ParameterError("orientation", f"of shape (4, {frames})", orientation.shape)
     if not (math.isfinite(rate_hz) and rate_hz > 0):
         raise ParameterError("rate_hz", "positive and finite", rate_hz)
-    if len(rules) > MOST_FEATURES:
-        raise ParameterError("rules", f"at most {MOST_FEATURES}", len(rules))
+    if len(rules) > MAX_FEATURES:
+        raise ParameterError("rules", f"at most {MAX_FEATURES}", len(rules))
     if valid is None or valid.all():
         return _stretch(positions, orientation, rate_hz, rules, positions[:, :, :1], primitives or {})
     if valid.shape != (frames,):

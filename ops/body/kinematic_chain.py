@@ -214,14 +214,14 @@ class Poses(NamedTuple):
 
     Attributes
     ----------
-    places : float64 array (T, 3)
+    positions : float64 array (T, 3)
         Place of the first node in metres.
-    turns : float64 array (T, K, 3, 3)
+    rotations : float64 array (T, K, 3, 3)
         Rotation of each node from its parent.
     """
 
-    places: F64
-    turns: F64
+    positions: F64
+    rotations: F64
 
 
 def forward(body: ChainBody, poses: Poses) -> tuple[F64, F64]:
@@ -241,27 +241,29 @@ def forward(body: ChainBody, poses: Poses) -> tuple[F64, F64]:
     turned : float64 array (T, K, 3, 3)
         World rotation G of each node.
     """
-    frames, nodes = poses.turns.shape[:2]
-    if poses.places.shape != (frames, 3) or poses.turns.shape[1:] != (len(body.chain.nodes), 3, 3):
-        shapes = (poses.places.shape, poses.turns.shape)
+    frames, nodes = poses.rotations.shape[:2]
+    if poses.positions.shape != (frames, 3) or poses.rotations.shape[1:] != (len(body.chain.nodes), 3, 3):
+        shapes = (poses.positions.shape, poses.rotations.shape)
         raise ParameterError("poses", f"of shapes (T, 3) and (T, {len(body.chain.nodes)}, 3, 3)", shapes)
     positions = np.empty((len(body.chain.joints), 3, frames))
     turned = np.empty((frames, nodes, 3, 3))
-    _forward(body.arrays, np.ascontiguousarray(poses.places), np.ascontiguousarray(poses.turns), positions, turned)
+    _forward(
+        body.arrays, np.ascontiguousarray(poses.positions), np.ascontiguousarray(poses.rotations), positions, turned
+    )
     return positions, turned
 
 
 @njit(cache=True, nogil=True)
-def _forward(chain: ChainArrays, places: F64, turns: F64, positions: F64, turned: F64) -> None:
+def _forward(chain: ChainArrays, places: F64, rotations: F64, positions: F64, turned: F64) -> None:
     centres, joints = np.empty((len(chain.parents), 3)), np.empty((len(chain.joint_nodes), 3))
     for t in range(len(places)):
-        pose_nodes(chain, places[t], turns[t], turned[t], centres)
+        pose_nodes(chain, places[t], rotations[t], turned[t], centres)
         pose_joints(chain, turned[t], centres, joints)
         copy_table(positions[:, :, t], joints)
 
 
 @njit(cache=True, nogil=True)
-def pose_nodes(chain: ChainArrays, place: F64, turns: F64, turned: F64, centres: F64) -> None:
+def pose_nodes(chain: ChainArrays, place: F64, rotations: F64, turned: F64, centres: F64) -> None:
     """Compute world rotations (K, 3, 3) and centres (K, 3) of a frame's nodes; write them into the last two arrays."""
     for k in range(len(chain.parents)):
         parent = chain.parents[k]
@@ -269,15 +271,15 @@ def pose_nodes(chain: ChainArrays, place: F64, turns: F64, turned: F64, centres:
             if parent < 0:
                 centres[k, i] = place[i]
                 for j in range(3):
-                    turned[k, i, j] = turns[k, i, j]
+                    turned[k, i, j] = rotations[k, i, j]
             else:
                 centres[k, i] = centres[parent, i]
                 for j in range(3):
                     centres[k, i] += turned[parent, i, j] * chain.node_offsets[k, j]
                     turned[k, i, j] = (
-                        turned[parent, i, 0] * turns[k, 0, j]
-                        + turned[parent, i, 1] * turns[k, 1, j]
-                        + turned[parent, i, 2] * turns[k, 2, j]
+                        turned[parent, i, 0] * rotations[k, 0, j]
+                        + turned[parent, i, 1] * rotations[k, 1, j]
+                        + turned[parent, i, 2] * rotations[k, 2, j]
                     )
 
 
@@ -333,7 +335,7 @@ def point_jacobian(chain: ChainArrays, turned: F64, centres: F64, node: int, poi
 
 
 @njit(cache=True, nogil=True)
-def take_step(chain: ChainArrays, place: F64, turns: F64, step: F64, new_place: F64, new_turns: F64) -> None:
+def take_step(chain: ChainArrays, place: F64, rotations: F64, step: F64, new_place: F64, new_turns: F64) -> None:
     """Move the pose of one frame by a step of its parameters; write the result into the last two arrays."""
     for i in range(3):
         new_place[i] = place[i] + step[i]
@@ -347,7 +349,7 @@ def take_step(chain: ChainArrays, place: F64, turns: F64, step: F64, new_place: 
         x, y, z = vector[0], vector[1], vector[2]
         a, b = _rodrigues(x * x + y * y + z * z)
         for i in range(3):  # a row r becomes r + a r × v + b (r × v) × v
-            p, q, r = turns[k, i, 0], turns[k, i, 1], turns[k, i, 2]
+            p, q, r = rotations[k, i, 0], rotations[k, i, 1], rotations[k, i, 2]
             u, v, w = q * z - r * y, r * x - p * z, p * y - q * x
             new_turns[k, i, 0] = p + a * u + b * (v * z - w * y)
             new_turns[k, i, 1] = q + a * v + b * (w * x - u * z)
@@ -448,13 +450,13 @@ HINGE_RAD = 0.05
 
 
 @njit(cache=True, nogil=True)
-def rest_cost(chain: ChainArrays, turns: F64) -> float:
+def rest_cost(chain: ChainArrays, rotations: F64) -> float:
     """Return the sum of squares of the pulls to the rest pose and of the hinges' excess in one frame."""
     total, d = 0.0, 0
     for k in range(len(chain.parents)):
         if d >= len(chain.axis_nodes) or chain.axis_nodes[d] != k:
             continue
-        vector = log_of(turns[k])
+        vector = log_of(rotations[k])
         while d < len(chain.axis_nodes) and chain.axis_nodes[d] == k:
             turn = chain.axis_signs[d] * vector[chain.axis_directions[d]]
             excess = turn - min(max(turn, chain.hinges[d, 0]), chain.hinges[d, 1])
@@ -464,7 +466,7 @@ def rest_cost(chain: ChainArrays, turns: F64) -> float:
 
 
 @njit(cache=True, nogil=True)
-def add_rest_terms(chain: ChainArrays, turns: F64, hessian: F64, gradient: F64) -> float:
+def add_rest_terms(chain: ChainArrays, rotations: F64, hessian: F64, gradient: F64) -> float:
     """Add the terms of `rest_cost` to H and g of one frame, with g half of the cost's derivative; return the cost.
 
     g holds the exact derivative of the logarithm; H takes it as the identity, and stays diagonal.
@@ -476,7 +478,7 @@ def add_rest_terms(chain: ChainArrays, turns: F64, hessian: F64, gradient: F64) 
         slopes[:] = 0.0
         while d < len(chain.axis_nodes) and chain.axis_nodes[d] == k:
             if d == first:
-                vector = log_of(turns[k])
+                vector = log_of(rotations[k])
             sign = chain.axis_signs[d]
             turn = sign * vector[chain.axis_directions[d]]
             excess = turn - min(max(turn, chain.hinges[d, 0]), chain.hinges[d, 1])

@@ -206,22 +206,22 @@ def _times(a: F64, b: F64, c: F64, matrix: F64, x: F64, y: F64, z: F64) -> None:
 
 
 @njit(cache=True, nogil=True, _nrt=False)
-def _shift(out: F64, turns: F64, offset: F64) -> None:
+def _shift(out: F64, rotations: F64, offset: F64) -> None:
     """Move positions (3, T) by a fixed offset that is rotated by matrices (9, T)."""
     x, y, z = offset
     if x == 0.0 and y == 0.0 and z == 0.0:
         return
     for axis in range(3):
-        place, a, b, c = out[axis], turns[3 * axis], turns[3 * axis + 1], turns[3 * axis + 2]
+        place, a, b, c = out[axis], rotations[3 * axis], rotations[3 * axis + 1], rotations[3 * axis + 2]
         for t in range(place.shape[0]):
             place[t] += a[t] * x + b[t] * y + c[t] * z
 
 
 @njit(cache=True, nogil=True, _nrt=False)
-def _move(out: F64, turns: F64, x: float, y: float, z: float, lengths: F64) -> None:
+def _move(out: F64, rotations: F64, x: float, y: float, z: float, lengths: F64) -> None:
     """Move positions (3, T) along a fixed direction, rotated by matrices (9, T), by the values of a channel."""
     for axis in range(3):
-        place, a, b, c = out[axis], turns[3 * axis], turns[3 * axis + 1], turns[3 * axis + 2]
+        place, a, b, c = out[axis], rotations[3 * axis], rotations[3 * axis + 1], rotations[3 * axis + 2]
         for t in range(place.shape[0]):
             place[t] += (a[t] * x + b[t] * y + c[t] * z) * lengths[t]
 

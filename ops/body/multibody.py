@@ -130,7 +130,7 @@ def spline(x: F64, y: F64) -> Spline:
 
 
 @dataclass(frozen=True)
-class Motion:
+class AxisMotion:
     """A rotation about an axis, or a translation along it, as a function of some coordinates.
 
     Attributes
@@ -175,8 +175,8 @@ class Joint:
     parent: int
     in_parent: Placed
     in_child: Placed
-    turns: tuple[Motion, ...]
-    shifts: tuple[Motion, ...]
+    turns: tuple[AxisMotion, ...]
+    shifts: tuple[AxisMotion, ...]
 
 
 def euler_xyz(angles: F64) -> F64:

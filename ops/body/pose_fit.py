@@ -27,12 +27,12 @@ from kinedex.ops.errors import ParameterError
 POINT_M = 0.01
 """Standard deviation of a joint's position, in metres."""
 
-MOST_STEPS = 25
+MAX_STEPS = 25
 """Maximum number of steps of Levenberg's method in a frame, rejected ones included."""
 
 # the initial damping, and its factors after an accepted and a rejected step
 _DAMPING, _EASED, _RAISED = 1e-3, 0.2, 10.0
-_LEAST = 1e-6  # is added to the diagonal of the normal equations
+_DIAGONAL = 1e-6  # is added to the diagonal of the normal equations
 _BENT = 0.12  # weight of the pelvis's X axis against the normal of the leg's plane, which a straight leg does not have
 _CHEST = 0.084  # weight of the chest's axis against the normal of the arm's plane
 
@@ -73,7 +73,7 @@ def measured_body(chain: KinematicChain, positions: F64) -> ChainBody:
 
 
 def fit_poses(
-    body: ChainBody, positions: F64, sigma_m: float = POINT_M, steps: int = MOST_STEPS, tolerance: float = 1e-4
+    body: ChainBody, positions: F64, sigma_m: float = POINT_M, steps: int = MAX_STEPS, tolerance: float = 1e-4
 ) -> Poses:
     """Fit the poses of a body to joints, each frame independently.
 
@@ -105,7 +105,7 @@ def fit_poses(
         raise ParameterError("sigma_m", "positive and finite", sigma_m)
     poses = start_poses(body, positions)
     points = np.ascontiguousarray(np.moveaxis(positions, 2, 0), np.float64)
-    _fit(body.arrays, points, 1.0 / sigma_m**2, steps, tolerance, poses.places, poses.turns)
+    _fit(body.arrays, points, 1.0 / sigma_m**2, steps, tolerance, poses.positions, poses.rotations)
     return poses
 
 
@@ -128,16 +128,16 @@ def start_poses(body: ChainBody, positions: F64) -> Poses:
     at = {name: positions[j].T for j, name in enumerate(chain.joints)}
     turned = _world_turns(chain, positions, at)
     frames = positions.shape[2]
-    turns = np.empty((frames, len(chain.nodes), 3, 3))
+    rotations = np.empty((frames, len(chain.nodes), 3, 3))
     for k, parent in enumerate(chain.parents):
         world = turned[chain.nodes[k]]
         local = world if parent < 0 else np.einsum("tba,tbc->tac", turned[chain.nodes[parent]], world)
         free = np.zeros(3, np.bool_)
         free[[axis.direction for axis in chain.axes_of(k)]] = True
-        turns[:, k] = local
+        rotations[:, k] = local
         if not free.all():
-            _restrict(turns, k, free)
-    return Poses(_held(at["root"]), turns)
+            _restrict(rotations, k, free)
+    return Poses(_held(at["root"]), rotations)
 
 
 def _world_turns(chain: KinematicChain, positions: F64, at: dict[str, F64]) -> dict[str, F64]:
@@ -226,46 +226,48 @@ def _frame(first: int, exact: F64, second: int, near: F64, above: F64) -> F64:
 
 
 @njit(cache=True, nogil=True)
-def _restrict(turns: F64, node: int, free: Bool) -> None:
+def _restrict(rotations: F64, node: int, free: Bool) -> None:
     """Restrict the rotation vectors of a node to the components about its axes."""
-    for t in range(len(turns)):
-        vector = vector_of(turns[t, node])
+    for t in range(len(rotations)):
+        vector = vector_of(rotations[t, node])
         for i in range(3):
             if not free[i]:
                 vector[i] = 0.0
-        copy_table(turns[t, node], rotation_of(vector))
+        copy_table(rotations[t, node], rotation_of(vector))
 
 
 @njit(cache=True, nogil=True)
-def _fit(chain: ChainArrays, points: F64, weight: float, steps: int, tolerance: float, places: F64, turns: F64) -> None:
+def _fit(
+    chain: ChainArrays, points: F64, weight: float, steps: int, tolerance: float, positions: F64, rotations: F64
+) -> None:
     size, nodes = PLACES + len(chain.axis_nodes), len(chain.parents)
     hessian, damped, gradient, step = np.empty((size, size)), np.empty((size, size)), np.empty(size), np.empty(size)
     place, turn = np.empty(3), np.empty((nodes, 3, 3))
     turned, centres = np.empty((nodes, 3, 3)), np.empty((nodes, 3))
     joints = np.empty((len(chain.joint_nodes), 3))
     for t in range(len(points)):
-        cost = _cost(chain, places[t], turns[t], points[t], weight, turned, centres, joints)
+        cost = _cost(chain, positions[t], rotations[t], points[t], weight, turned, centres, joints)
         damping, fresh = _DAMPING, True
         for _ in range(steps):
             if fresh:
-                pose_nodes(chain, places[t], turns[t], turned, centres)
+                pose_nodes(chain, positions[t], rotations[t], turned, centres)
                 pose_joints(chain, turned, centres, joints)
                 hessian[:], gradient[:] = 0.0, 0.0
                 _add_points(chain, turned, centres, joints, points[t], weight, hessian, gradient)
-                add_rest_terms(chain, turns[t], hessian, gradient)
+                add_rest_terms(chain, rotations[t], hessian, gradient)
             copy_table(damped, hessian)
             for i in range(size):
-                damped[i, i] += damping * hessian[i, i] + _LEAST
+                damped[i, i] += damping * hessian[i, i] + _DIAGONAL
             solve_step(damped, gradient, step)
-            take_step(chain, places[t], turns[t], step, place, turn)
+            take_step(chain, positions[t], rotations[t], step, place, turn)
             new = _cost(chain, place, turn, points[t], weight, turned, centres, joints)
             fresh = new < cost
             if not fresh:
                 damping *= _RAISED
                 continue
-            copy_row(places[t], place)
+            copy_row(positions[t], place)
             for node in range(nodes):
-                copy_table(turns[t, node], turn[node])
+                copy_table(rotations[t, node], turn[node])
             damping *= _EASED
             done = cost - new <= tolerance * cost
             cost = new
@@ -275,11 +277,11 @@ def _fit(chain: ChainArrays, points: F64, weight: float, steps: int, tolerance: 
 
 @njit(cache=True, nogil=True)
 def _cost(
-    chain: ChainArrays, place: F64, turns: F64, points: F64, weight: float, turned: F64, centres: F64, joints: F64
+    chain: ChainArrays, place: F64, rotations: F64, points: F64, weight: float, turned: F64, centres: F64, joints: F64
 ) -> float:
-    pose_nodes(chain, place, turns, turned, centres)
+    pose_nodes(chain, place, rotations, turned, centres)
     pose_joints(chain, turned, centres, joints)
-    total = rest_cost(chain, turns)
+    total = rest_cost(chain, rotations)
     for j in range(len(joints)):
         square = 0.0
         for i in range(3):

@@ -19,7 +19,7 @@ TYPICAL_HZ = 1.0
 
 LAG_S = 1.0 / 30.0  # seconds; differences over this time are free of the noise between frames of fast cameras
 _TURNED = 0.4  # radians; the least turn of the motion over the lag from which a likely rate is computed
-_MOST = 512  # most frames in which differences are taken, spread over the take
+_MAX_DIFFERENCES = 512  # most frames in which differences are taken, spread over the take
 
 
 @dataclass(frozen=True)
@@ -94,11 +94,11 @@ def turn_and_acceleration(tracks: F64, lag: int) -> tuple[float, float]:
     """Return the median turn over a lag in radians, and the 90th percentile of second differences; NaN if still."""
     points, _, length = tracks.shape
     frames = max(length - 2 * lag, 0)
-    taken = min(frames, _MOST)
-    ratios, turns = np.empty(taken), np.empty(taken * points)
+    taken = min(frames, _MAX_DIFFERENCES)
+    ratios, rotations = np.empty(taken), np.empty(taken * points)
     moving, known = 0, 0
     for i in range(taken):
-        t = i if frames <= _MOST else i * (frames - 1) // (taken - 1)
+        t = i if frames <= _MAX_DIFFERENCES else i * (frames - 1) // (taken - 1)
         speed, turn = 0.0, 0.0
         for j in range(points):
             first, second = 0.0, 0.0
@@ -110,11 +110,11 @@ def turn_and_acceleration(tracks: F64, lag: int) -> tuple[float, float]:
             speed += math.sqrt(first)
             turn += second
             if second < np.inf:  # false for NaN
-                turns[known] = second
+                rotations[known] = second
                 known += 1
         if 0.0 < speed < np.inf:
             ratios[moving] = turn / speed
             moving += 1
     if moving == 0:
         return np.nan, np.nan
-    return median(ratios[:moving]), percentile(turns[:known], 90.0)
+    return median(ratios[:moving]), percentile(rotations[:known], 90.0)

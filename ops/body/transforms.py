@@ -82,14 +82,14 @@ def global_transforms(parents: Sequence[int], linear: F64, offsets: F64) -> tupl
         )
     if len(parents) != nodes or any(not -1 <= parent < i for i, parent in enumerate(parents)):
         raise ParameterError("parents", "indices of earlier nodes, or -1", list(parents))
-    whole, places = np.empty_like(linear), np.empty_like(offsets)
+    whole, positions = np.empty_like(linear), np.empty_like(offsets)
     for i, parent in enumerate(parents):
         if parent < 0:
-            whole[i], places[i] = linear[i], offsets[i]
+            whole[i], positions[i] = linear[i], offsets[i]
         else:
             whole[i] = whole[parent] @ linear[i]
-            places[i] = places[parent] + np.einsum("tab,tb->ta", whole[parent], offsets[i])
-    return whole, places
+            positions[i] = positions[parent] + np.einsum("tab,tb->ta", whole[parent], offsets[i])
+    return whole, positions
 
 
 def without_scale(linear: F64) -> F64:

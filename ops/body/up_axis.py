@@ -82,12 +82,12 @@ class UpAxis:
     reasons: tuple[str, ...]
 
 
-def up_axis(places: Mapping[str, F64], rest: Mapping[str, F64] | None = None) -> UpAxis:
+def up_axis(positions: Mapping[str, F64], rest: Mapping[str, F64] | None = None) -> UpAxis:
     """Judge which of the axes ±x, ±y and ±z points up.
 
     Parameters
     ----------
-    places : mapping of str to float64 array (3, K)
+    positions : mapping of str to float64 array (3, K)
         Any of the 24 named joints, in K sampled frames, in any unit and axes; NaN where a joint is not seen. Head, hips
         and feet count for posture, all joints for the ground. About 32 frames, spread over the take, are enough.
     rest : mapping of str to float64 array (3,), optional
@@ -98,7 +98,7 @@ def up_axis(places: Mapping[str, F64], rest: Mapping[str, F64] | None = None) ->
     UpAxis
         Axis, confidence and reasons. A body without hips and one end (head or feet) is undecided.
     """
-    hips, head, feet = (_pair(places, choices) for choices in (HIPS, HEADS, FEET))
+    hips, head, feet = (_pair(positions, choices) for choices in (HIPS, HEADS, FEET))
     if not len(hips) or not (len(head) or len(feet)):
         return UpAxis("", 0.0, _NO_BODY)
     share, stood, frames = posture_shares(hips, head, feet)
@@ -107,7 +107,7 @@ def up_axis(places: Mapping[str, F64], rest: Mapping[str, F64] | None = None) ->
     standing = _standing({joint: np.reshape(place, (3, 1)) for joint, place in rest.items()}) if rest else np.zeros(6)
     lowest, travel, grounded = np.zeros(6), np.zeros(3), False
     if len(feet):
-        lowest, travel, grounded = point_spreads(np.array(list(places.values()), np.float64), hips)
+        lowest, travel, grounded = point_spreads(np.array(list(positions.values()), np.float64), hips)
     leads = least_leads(share, standing, lowest, travel, grounded)
     best = int(np.argmax(leads))
     confidence = 1.0 - math.exp(-GAIN * max(float(leads[best]), 0.0))
@@ -125,11 +125,11 @@ def up_axis(places: Mapping[str, F64], rest: Mapping[str, F64] | None = None) ->
     return UpAxis(AXES[best] if confidence >= SURE else "", confidence, tuple(reasons))
 
 
-def _pair(places: Mapping[str, F64], choices: tuple[tuple[str, ...], ...]) -> F64:
+def _pair(positions: Mapping[str, F64], choices: tuple[tuple[str, ...], ...]) -> F64:
     """Return the positions (2, 3, K) of the first pair of joints that is known, (0, 3, 0) if none is."""
     for names in choices:
-        if all(name in places for name in names):
-            return np.array([places[names[0]], places[names[-1]]], np.float64)
+        if all(name in positions for name in names):
+            return np.array([positions[names[0]], positions[names[-1]]], np.float64)
     return np.zeros((0, 3, 0))
 
 
@@ -178,9 +178,9 @@ def posture_shares(hips: F64, head: F64, feet: F64) -> tuple[F64, F64, int]:
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def point_spreads(places: F64, hips: F64) -> tuple[F64, F64, bool]:
+def point_spreads(positions: F64, hips: F64) -> tuple[F64, F64, bool]:
     """Return the ranges of the lowest point (6,) and the hips (3,) in body sizes, and True for enough frames."""
-    joints, _, frames = places.shape
+    joints, _, frames = positions.shape
     tracks = np.empty((9, frames))
     sizes = np.empty(frames)
     whole = 0
@@ -189,7 +189,7 @@ def point_spreads(places: F64, hips: F64) -> tuple[F64, F64, bool]:
         for k in range(3):
             low, high = np.inf, -np.inf
             for j in range(joints):
-                place = places[j, k, t]
+                place = positions[j, k, t]
                 known = known and np.isfinite(place)
                 low, high = min(low, place), max(high, place)
             middle = _middle(hips, k, t)
@@ -261,12 +261,12 @@ class LeftRight:
         return bool(self.legs < -CLEAR or self.lines < -CLEAR)
 
 
-def left_right(places: Mapping[str, F64]) -> LeftRight:
+def left_right(positions: Mapping[str, F64]) -> LeftRight:
     """Judge whether the joints named left lie on the body's left.
 
     Parameters
     ----------
-    places : mapping of str to float64 array (3, K)
+    positions : mapping of str to float64 array (3, K)
         Any of the 24 named joints in K sampled frames, in any unit and any right-handed axes; NaN where a joint is not
         seen. Both hips, and knees and ankles, or ankles and toes with knees, are needed for the legs.
 
@@ -275,11 +275,11 @@ def left_right(places: Mapping[str, F64]) -> LeftRight:
     LeftRight
         The figures; NaN where joints are missing.
     """
-    if "lhip" not in places or "rhip" not in places:
+    if "lhip" not in positions or "rhip" not in positions:
         return LeftRight(float("nan"), float("nan"), ("no hips",))
-    absent = np.full(places["lhip"].shape, np.nan)
+    absent = np.full(positions["lhip"].shape, np.nan)
     pairs = (
-        np.array([places.get(f"l{name}", absent), places.get(f"r{name}", absent)], np.float64)
+        np.array([positions.get(f"l{name}", absent), positions.get(f"r{name}", absent)], np.float64)
         for name in ("hip", "knee", "ankle", "toes", "shoulder")
     )
     legs, shoulders, knees = side_agreement(*pairs)

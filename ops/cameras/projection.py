@@ -20,7 +20,7 @@ from kinedex.ops.errors import ParameterError
 DISTORTION_COUNTS = (0, 4, 5, 8)
 """The numbers of distortion coefficients that are supported."""
 
-_MOST_STEPS = 60
+_MAX_STEPS = 60
 _CLOSE = 1e-13  # in units of the focal length: 1e-10 pixels at 1000
 
 
@@ -78,10 +78,10 @@ def project(
         An array has the wrong shape.
     """
     intrinsic, turned = _matrix("matrix", matrix), _matrix("rotation", rotation)
-    places = np.asarray(points, np.float64)
-    if places.shape[-1:] != (3,):
-        raise ParameterError("points", "of shape (…, 3)", places.shape)
-    seen = places @ turned.T + np.asarray(translation, np.float64)
+    positions = np.asarray(points, np.float64)
+    if positions.shape[-1:] != (3,):
+        raise ParameterError("points", "of shape (…, 3)", positions.shape)
+    seen = positions @ turned.T + np.asarray(translation, np.float64)
     depths: F64 = seen[..., 2]
     with np.errstate(divide="ignore", invalid="ignore"):
         plane = np.where(depths[..., None] > 0, seen[..., :2] / depths[..., None], np.nan)
@@ -115,12 +115,12 @@ def pixel_directions(
         An array has the wrong shape.
     """
     intrinsic, turned = _matrix("matrix", matrix), _matrix("rotation", rotation)
-    places = np.asarray(pixels, np.float64)
-    if places.shape[-1:] != (2,):
-        raise ParameterError("pixels", "of shape (…, 2)", places.shape)
+    positions = np.asarray(pixels, np.float64)
+    if positions.shape[-1:] != (2,):
+        raise ParameterError("pixels", "of shape (…, 2)", positions.shape)
     (fx, skew, cx), (_, fy, cy) = intrinsic[:2]
-    b = (places[..., 1] - cy) / fy
-    a = (places[..., 0] - cx - skew * b) / fx
+    b = (positions[..., 1] - cy) / fy
+    a = (positions[..., 0] - cx - skew * b) / fx
     plane = undistort(distortion, np.stack([a, b], axis=-1))
     rays = np.concatenate([plane, np.ones((*plane.shape[:-1], 1))], axis=-1)
     rays /= np.sqrt(np.einsum("...i,...i->...", rays, rays))[..., None]
@@ -156,7 +156,7 @@ def undistort(distortion: npt.ArrayLike, seen: F64) -> F64:
     plane = flat.copy()
     missing = flat - _lens(numbers, plane)[0]
     with np.errstate(invalid="ignore", over="ignore", divide="ignore"):
-        for _ in range(_MOST_STEPS):
+        for _ in range(_MAX_STEPS):
             error = np.abs(missing).max(axis=1, initial=0.0)
             todo = np.flatnonzero(error > _CLOSE)
             if not len(todo):

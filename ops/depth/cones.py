@@ -81,13 +81,13 @@ def moved_joints(joints: I64) -> Bool:
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def turn_pose(pivots: Pivots, pose: F64, turns: F64, shift: F64) -> None:
+def turn_pose(pivots: Pivots, pose: F64, rotations: F64, shift: F64) -> None:
     """Rotate every pivot of a pose in place, the deepest ones first, and then translate it.
 
-    `turns` (P, 3) are rotation vectors in radians; bones keep their lengths.
+    `rotations` (P, 3) are rotation vectors in radians; bones keep their lengths.
     """
     for k in range(len(pivots.joints) - 1, -1, -1):
-        a, b, c = turns[k, 0], turns[k, 1], turns[k, 2]
+        a, b, c = rotations[k, 0], rotations[k, 1], rotations[k, 2]
         angle = math.sqrt(a * a + b * b + c * c)
         if angle == 0.0:
             continue
@@ -196,7 +196,7 @@ class Samples(NamedTuple):
     """Samples of the surface, see `ConeBody`: cone, position, cosine and sine of the angle, True for an angle of 0."""
 
     cones: I64
-    places: F64
+    positions: F64
     cosines: F64
     sines: F64
     straight: Bool
@@ -384,7 +384,7 @@ def place_samples(samples: Samples, placed: F64, points: F64, offsets: F64) -> N
         The samples in metres, and their offsets from their cone's axis; both are written.
     """
     for i in range(len(samples.cones)):
-        row, s = placed[samples.cones[i]], samples.places[i]
+        row, s = placed[samples.cones[i]], samples.positions[i]
         unit = math.sqrt(row[INVERSE])
         e, f, g = unit * row[AXIS], unit * row[AXIS + 1], unit * row[AXIS + 2]
         x, y, z = row[START] + s * row[AXIS], row[START + 1] + s * row[AXIS + 1], row[START + 2] + s * row[AXIS + 2]

@@ -52,7 +52,7 @@ class Extrema(NamedTuple):
     visited: I32
 
 
-class ExtremaRoom(NamedTuple):
+class ExtremaBuffers(NamedTuple):
     """Preallocated arrays of the search, for graphs of at most N nodes.
 
     Attributes
@@ -80,9 +80,9 @@ class ExtremaRoom(NamedTuple):
     from_source: F64
 
 
-def extrema_room(nodes: int) -> ExtremaRoom:
+def extrema_buffers(nodes: int) -> ExtremaBuffers:
     """Allocate the arrays for graphs of at most the given number of nodes."""
-    return ExtremaRoom(
+    return ExtremaBuffers(
         np.zeros(nodes),
         np.zeros(BUCKETS, np.int32),
         np.zeros(nodes, np.int32),
@@ -113,7 +113,9 @@ def find_source(cloud: FrameCloud, graph: PointGraph, drop: float = SOURCE_DROP_
     return int(_nearest_to_mean(cloud.points, graph.body, drop))
 
 
-def geodesic_extrema(graph: PointGraph, source: int, count: int = COUNT, room: ExtremaRoom | None = None) -> Extrema:
+def geodesic_extrema(
+    graph: PointGraph, source: int, count: int = COUNT, buffers: ExtremaBuffers | None = None
+) -> Extrema:
     """Return the geodesic extrema of a graph.
 
     Parameters
@@ -124,7 +126,7 @@ def geodesic_extrema(graph: PointGraph, source: int, count: int = COUNT, room: E
         The node that the search begins at.
     count : int
         The number of extrema.
-    room : ExtremaRoom, optional
+    buffers : ExtremaRoom, optional
         Arrays to reuse from earlier frames; None allocates them.
 
     Returns
@@ -140,14 +142,14 @@ def geodesic_extrema(graph: PointGraph, source: int, count: int = COUNT, room: E
     size = len(graph.body)
     if not 0 <= source < size:
         raise ParameterError("source", f"a node from 0 to {size - 1}", source)
-    if room is None:
-        room = extrema_room(size)
+    if buffers is None:
+        buffers = extrema_buffers(size)
     nodes, distances, visited = np.empty(count, np.int32), np.empty(count), np.empty(count, np.int32)
-    found = _find_extrema(graph.starts, graph.neighbours, graph.lengths, source, room, nodes, distances, visited)
+    found = _find_extrema(graph.starts, graph.neighbours, graph.lengths, source, buffers, nodes, distances, visited)
     return Extrema(nodes[:found], distances[:found], visited[:found])
 
 
-def tips_first(cloud: FrameCloud, graph: PointGraph, extrema: Extrema, room: ExtremaRoom) -> Extrema:
+def tips_first(cloud: FrameCloud, graph: PointGraph, extrema: Extrema, buffers: ExtremaBuffers) -> Extrema:
     """Return the extrema reordered: first the tips of limbs, then the others, each group in its former order.
 
     At a tip, no point that is connected to it within 0.15 m is farther from the source. Where a hand hangs at the hip,
@@ -161,7 +163,7 @@ def tips_first(cloud: FrameCloud, graph: PointGraph, extrema: Extrema, room: Ext
         Their graph.
     extrema : Extrema
         Its extrema.
-    room : ExtremaRoom
+    buffers : ExtremaRoom
         The arrays of the search that found them, not used since.
 
     Returns
@@ -170,15 +172,15 @@ def tips_first(cloud: FrameCloud, graph: PointGraph, extrema: Extrema, room: Ext
         The same extrema.
     """
     tips = np.zeros(len(extrema.nodes), np.bool_)
-    _find_tips(cloud.points, graph.starts, graph.neighbours, extrema.nodes, room, tips)
+    _find_tips(cloud.points, graph.starts, graph.neighbours, extrema.nodes, buffers, tips)
     order = np.argsort(~tips, kind="stable")
     return Extrema(extrema.nodes[order], extrema.distances[order], extrema.visited[order])
 
 
 @njit(cache=True, nogil=True)
-def _find_tips(points: F64, starts: I32, neighbours: I32, nodes: I32, room: ExtremaRoom, tips: Bool) -> None:
+def _find_tips(points: F64, starts: I32, neighbours: I32, nodes: I32, buffers: ExtremaBuffers, tips: Bool) -> None:
     """Search around each extremum within the radius, until a node is found that is farther from the source."""
-    distances, queue, seen = room.from_source, room.after, room.changed
+    distances, queue, seen = buffers.from_source, buffers.after, buffers.changed
     seen[: len(points)] = -1
     for m in range(len(nodes)):
         node = nodes[m]
@@ -219,18 +221,25 @@ def _nearest_to_mean(points: F64, body: Bool, drop: float) -> int:
 
 @njit(cache=True, nogil=True)
 def _find_extrema(
-    starts: I32, neighbours: I32, lengths: F64, source: int, room: ExtremaRoom, nodes: I32, distances: F64, visited: I32
+    starts: I32,
+    neighbours: I32,
+    lengths: F64,
+    source: int,
+    buffers: ExtremaBuffers,
+    nodes: I32,
+    distances: F64,
+    visited: I32,
 ) -> int:
     """Fill in the extrema, and return their number."""
-    reached = room.distances[: len(starts) - 1]
+    reached = buffers.distances[: len(starts) - 1]
     reached[:] = np.inf
-    room.changed[: len(reached)] = -1
-    room.buckets[: len(reached)] = -1
-    room.firsts[:] = -1
+    buffers.changed[: len(reached)] = -1
+    buffers.buckets[: len(reached)] = -1
+    buffers.firsts[:] = -1
     for k in range(len(nodes)):
-        visited[k] = _spread(starts, neighbours, lengths, source if k == 0 else nodes[k - 1], k, room)
+        visited[k] = _spread(starts, neighbours, lengths, source if k == 0 else nodes[k - 1], k, buffers)
         if k == 0:
-            copy_row(room.from_source, reached)
+            copy_row(buffers.from_source, reached)
         farthest = _greatest_finite(reached)
         if farthest == 0.0:
             return k
@@ -252,16 +261,22 @@ def _greatest_finite(values: F64) -> float:
 
 
 @njit(cache=True, nogil=True)
-def _spread(starts: I32, neighbours: I32, lengths: F64, source: int, search: int, room: ExtremaRoom) -> int:
+def _spread(starts: I32, neighbours: I32, lengths: F64, source: int, search: int, buffers: ExtremaBuffers) -> int:
     """Update the distances for an additional source, and return the number of nodes whose distance became less.
 
     Nodes wait in buckets of distances, each node in one at most, in a ring that is longer than the longest edge. A node
     that comes nearer while its own bucket is being emptied returns to it, so the result does not depend on the width of
     a bucket; with edges no shorter than that, each node is visited once.
     """
-    reached, firsts, after, before, buckets = room.distances, room.firsts, room.after, room.before, room.buckets
+    reached, firsts, after, before, buckets = (
+        buffers.distances,
+        buffers.firsts,
+        buffers.after,
+        buffers.before,
+        buffers.buckets,
+    )
     scale, nearer, waiting, slot = 1.0 / BUCKET_M, 1, 1, 0
-    reached[source], room.changed[source] = 0.0, search
+    reached[source], buffers.changed[source] = 0.0, search
     firsts[0], after[source], before[source], buckets[source] = source, -1, -1, 0
     while waiting > 0:
         node = firsts[slot]
@@ -279,8 +294,8 @@ def _spread(starts: I32, neighbours: I32, lengths: F64, source: int, search: int
             if length >= reached[other]:
                 continue
             reached[other] = length
-            if room.changed[other] != search:
-                room.changed[other] = search
+            if buffers.changed[other] != search:
+                buffers.changed[other] = search
                 nearer += 1
             place, former = int(length * scale) & (BUCKETS - 1), buckets[other]
             if place == former:

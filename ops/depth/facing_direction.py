@@ -14,10 +14,10 @@ from kinedex.ops.order_statistics import median
 SAMPLE = 700
 """Approximate number of points that are used where not all are needed."""
 
-WIDTH_M, CLOSE_M, MOST_SHIFTS = 0.25, 1e-3, 8
+WIDTH_M, CLOSE_M, MAX_SHIFTS = 0.25, 1e-3, 8
 """Bandwidth of the mean shift in metres, the step that ends it, and the most steps."""
 
-AROUND_M, LEAST_POINTS, LEAST_HORIZONTAL = 0.15, 20, 0.5
+AROUND_M, MIN_POINTS, MIN_HORIZONTAL = 0.15, 20, 0.5
 """Radius around the centre for the plane fit, the least number of points, and the least horizontal part of its normal.
 """
 
@@ -81,7 +81,7 @@ def _mean_shift(points: F64, step: int, centre: F64) -> None:
         for k in range(count):
             sample[k] = points[k * step, axis]
         centre[axis] = median(sample)
-    for _ in range(MOST_SHIFTS):
+    for _ in range(MAX_SHIFTS):
         x, y, z, total = 0.0, 0.0, 0.0, 0.0
         for k in range(count):
             px, py, pz = points[k * step, 0], points[k * step, 1], points[k * step, 2]
@@ -116,13 +116,13 @@ def _face(points: F64, centre: F64, facing: F64, result: F64) -> None:
                     for b in range(3):
                         covariance[a, b] += offset[a] * offset[b] / count
         if step == 0:
-            if count < LEAST_POINTS:
+            if count < MIN_POINTS:
                 return
             mean /= count
     values, vectors = symmetric_eigenvectors(covariance)
     nx, nz = vectors[0, 0], vectors[2, 0]
     flat = math.hypot(nx, nz)
-    if flat < LEAST_HORIZONTAL or values[1] <= 0.0 or values[2] <= 0.0:
+    if flat < MIN_HORIZONTAL or values[1] <= 0.0 or values[2] <= 0.0:
         return
     if nz < 0:
         nx, nz = -nx, -nz

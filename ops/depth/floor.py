@@ -19,17 +19,17 @@ TRIPLES = 300
 WITHIN_M = 0.03
 """Distance in metres up to which a point belongs to a plane."""
 
-LEAST_SHARE = 0.15
+MIN_SHARE = 0.15
 """Minimum fraction of the points that the floor must have."""
 
-MOST_FROM_UP, MOST_FROM_IMAGE_UP = np.radians(5.0), np.radians(45.0)
+MAX_FROM_UP, MAX_FROM_IMAGE_UP = np.radians(5.0), np.radians(45.0)
 """Greatest angles between the floor's normal and `up`, or the image's upward axis if there is no `up`, in radians."""
 
-_MOST_DRAWN = 100 * TRIPLES
+_MAX_DRAWN = 100 * TRIPLES
 _COUNTED = 10_000
 _REFITS = 5
 # m²; least length of the normal's cross product, so that the three points are not nearly collinear
-_LEAST_NORMAL = 1e-6
+_MIN_NORMAL = 1e-6
 
 
 class Floor(NamedTuple):
@@ -75,31 +75,31 @@ def find_floor(points: npt.ArrayLike, up: npt.ArrayLike | None = None, seed: int
     ParameterError
         `points` has another shape, or `up` no direction.
     """
-    places = np.asarray(points, np.float64)
-    if places.ndim != 2 or places.shape[1] != 3:
-        raise ParameterError("points", "of shape (n, 3)", places.shape)
-    places = places[np.isfinite(places).all(axis=1)]
+    positions = np.asarray(points, np.float64)
+    if positions.ndim != 2 or positions.shape[1] != 3:
+        raise ParameterError("points", "of shape (n, 3)", positions.shape)
+    positions = positions[np.isfinite(positions).all(axis=1)]
     axis = np.array([0.0, 1.0, 0.0]) if up is None else _unit(up)
-    least = np.cos(MOST_FROM_IMAGE_UP if up is None else MOST_FROM_UP)
-    if len(places) < 3:
+    least = np.cos(MAX_FROM_IMAGE_UP if up is None else MAX_FROM_UP)
+    if len(positions) < 3:
         return None
-    normals, heights = admissible_planes(places, axis, float(least), seed)
+    normals, heights = admissible_planes(positions, axis, float(least), seed)
     if not len(normals):
         return None
-    some = places[:: -(-len(places) // _COUNTED)]
+    some = positions[:: -(-len(positions) // _COUNTED)]
     counts = [int((np.abs(some @ normal - h) <= WITHIN_M).sum()) for normal, h in zip(normals, heights, strict=True)]
     best = int(np.argmax(counts))
     normal, height = normals[best], float(heights[best])
-    near = np.abs(places @ normal - height) <= WITHIN_M
+    near = np.abs(positions @ normal - height) <= WITHIN_M
     for _ in range(_REFITS):
         if near.sum() < 3:
             return None
-        normal, height = fitted_plane(places[near], axis)
-        former, near = near, np.abs(places @ normal - height) <= WITHIN_M
+        normal, height = fitted_plane(positions[near], axis)
+        former, near = near, np.abs(positions @ normal - height) <= WITHIN_M
         if (near == former).all():
             break
     share = float(near.mean())
-    if share < LEAST_SHARE or normal @ axis < least or height >= 0:
+    if share < MIN_SHARE or normal @ axis < least or height >= 0:
         return None
     return Floor(normal, height, share)
 
@@ -125,12 +125,12 @@ def admissible_planes(points: F64, up: F64, least: float, seed: int) -> tuple[F6
     heights : float64 array (k,)
         Where the planes lie along them, below 0.
     """
-    triples = np.random.default_rng(seed).integers(0, len(points), (_MOST_DRAWN, 3))
+    triples = np.random.default_rng(seed).integers(0, len(points), (_MAX_DRAWN, 3))
     a, b, c = (points[triples[:, k]] for k in range(3))
     across = np.cross(b - a, c - a)
     lengths = np.linalg.norm(across, axis=1)
-    known = lengths > _LEAST_NORMAL
-    normals = np.where(known[:, None], across / np.maximum(lengths, _LEAST_NORMAL)[:, None], 0.0)
+    known = lengths > _MIN_NORMAL
+    normals = np.where(known[:, None], across / np.maximum(lengths, _MIN_NORMAL)[:, None], 0.0)
     normals *= np.where(normals @ up < 0, -1.0, 1.0)[:, None]
     heights = np.einsum("ij,ij->i", normals, a)
     fit = np.flatnonzero(known & (normals @ up >= least) & (heights < 0))[:TRIPLES]
@@ -147,7 +147,7 @@ def fitted_plane(points: F64, up: F64) -> tuple[F64, float]:
     return normal, float(normal @ middle)
 
 
-def upright_turn(up: npt.ArrayLike) -> F64:
+def upright_rotation(up: npt.ArrayLike) -> F64:
     """Return the smallest rotation (3, 3) that maps a direction to +Y.
 
     Parameters

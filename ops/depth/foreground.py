@@ -25,7 +25,7 @@ BEFORE_BACKGROUND, BEFORE_BACKGROUND_SHARE = 0.06, 0.015
 ABOVE_FLOOR_M = 0.01
 """Height in metres above a known floor up to which points belong to the floor."""
 
-LEAST_NEIGHBOURS, MOST_FROM_MEDIAN_M = 5, 0.10
+MIN_NEIGHBOURS, MAX_FROM_MEDIAN_M = 5, 0.10
 """A pixel is kept if at least this many of 8 neighbours are foreground, and it is nearer than this to the median."""
 
 # Sensors report whole millimetres; in float32 a difference of exactly 0.10 m may not be below 0.10.
@@ -217,11 +217,11 @@ def _clean_run(foreground: F32, rows: F32, v: int, left: int, right: int, n: int
     for i in range(size - 2):
         z = here[i + 1]
         kept = int(counts[i] + counts[i + 1] + counts[i + 2])
-        if z == 0 or kept < LEAST_NEIGHBOURS + 1:
+        if z == 0 or kept < MIN_NEIGHBOURS + 1:
             continue
         m = medians[i] if kept >= 8 else _sixth(above, here, below, i)
         far = np.float64(m)
-        if abs(np.float64(z) - far) < MOST_FROM_MEDIAN_M - _ROUNDING_M:
+        if abs(np.float64(z) - far) < MAX_FROM_MEDIAN_M - _ROUNDING_M:
             u = left + i
             depth[v, u] = m
             pixels[n, 0], pixels[n, 1] = u, v

@@ -22,13 +22,13 @@ from kinedex.ops.arrays import F32, F64, I32, I64, Bool
 from kinedex.ops.copies import copy_row
 from kinedex.ops.depth.points import FrameCloud
 
-MOST_LINK_M = 0.5
+MAX_LINK_M = 0.5
 """Greatest distance in metres from the body at which a component still belongs to it."""
 
 TILE_BITS = 3
 """Base-2 logarithm of a block's width and height in pixels."""
 
-MOST_TILES = 1 << 14 >> TILE_BITS
+MAX_TILES = 1 << 14 >> TILE_BITS
 """Maximum number of tiles in a row: images have fewer than 2¹⁴ columns."""
 
 
@@ -41,7 +41,7 @@ FINE_EDGE_M, EDGE_PER_STEP = 0.043, 0.7
 STEP_SHARE, STEP_BIN_M, STEP_BINS = 0.2, 0.001, 64
 """The quantile of depth differences that is a frame's depth step, and the width and number of its histogram bins."""
 
-LEAST_NODES = 12
+MIN_NODES = 12
 """Minimum number of nodes of a component that is kept."""
 
 FORWARD = 4
@@ -53,7 +53,7 @@ PERSON_POINTS, APART_M = 500, 0.3
 _SAMPLE = 400  # most points of a component between which distances are measured
 
 
-class LinkRoom(NamedTuple):
+class LinkBuffers(NamedTuple):
     """Preallocated arrays for finding links, for at most N points and K components.
 
     Attributes
@@ -87,12 +87,12 @@ class LinkRoom(NamedTuple):
     spans: F64
 
 
-def link_room(most: int, components: int) -> LinkRoom:
+def link_buffers(most: int, components: int) -> LinkBuffers:
     """Allocate the arrays for frames with at most the given numbers of points and components."""
-    return LinkRoom(
+    return LinkBuffers(
         np.zeros(most, np.int32),
         np.zeros((2, most), np.int32),
-        np.zeros(max(most, MOST_TILES) + 1, np.int32),
+        np.zeros(max(most, MAX_TILES) + 1, np.int32),
         np.zeros(most + 1, np.int32),
         np.zeros(components + 1, np.int32),
         np.zeros((most, 2, 3)),
@@ -106,7 +106,7 @@ def link_room(most: int, components: int) -> LinkRoom:
 
 @njit(cache=True, nogil=True)
 def link_components(
-    points: F64, pixels: I32, labels: I32, sizes: I32, components: int, body: Bool, room: LinkRoom
+    points: F64, pixels: I32, labels: I32, sizes: I32, components: int, body: Bool, buffers: LinkBuffers
 ) -> int:
     """Link components to the largest one, the nearest first, and return the number of links.
 
@@ -124,7 +124,7 @@ def link_components(
         Their number.
     body : bool array (N,)
         Out: True for points of the body.
-    room : LinkRoom
+    buffers : LinkRoom
         Out: the links in `pairs` and `spans`.
 
     Returns
@@ -136,27 +136,27 @@ def link_components(
     if components == 0:
         body[:n] = False
         return 0
-    joined, squares = room.joined, room.squares
+    joined, squares = buffers.joined, buffers.squares
     joined[:components] = False
     newest = 0
     for c in range(components):
         newest = c if sizes[c] > sizes[newest] else newest
-        squares[c] = MOST_LINK_M * MOST_LINK_M
-        room.closest[c, 0] = -1
+        squares[c] = MAX_LINK_M * MAX_LINK_M
+        buffers.closest[c, 0] = -1
     joined[newest] = True
     if components > 1:
-        _gather_blocks(points, pixels, labels, components, room)
+        _gather_blocks(points, pixels, labels, components, buffers)
     while components > 1:
         nearest = -1
         for c in range(components):
             if not joined[c]:
-                _update_closest(points, np.int64(newest), c, room)
-                if room.closest[c, 0] >= 0 and (nearest < 0 or squares[c] < squares[nearest]):
+                _update_closest(points, np.int64(newest), c, buffers)
+                if buffers.closest[c, 0] >= 0 and (nearest < 0 or squares[c] < squares[nearest]):
                     nearest = c
         if nearest < 0:
             break
-        copy_row(room.pairs[links], room.closest[nearest])
-        room.spans[links] = np.sqrt(squares[nearest])
+        copy_row(buffers.pairs[links], buffers.closest[nearest])
+        buffers.spans[links] = np.sqrt(squares[nearest])
         joined[nearest] = True
         newest = nearest
         links += 1
@@ -166,17 +166,17 @@ def link_components(
 
 
 @njit(cache=True, nogil=True)
-def _gather_blocks(points: F64, pixels: I32, labels: I32, components: int, room: LinkRoom) -> None:
+def _gather_blocks(points: F64, pixels: I32, labels: I32, components: int, buffers: LinkBuffers) -> None:
     """Sort the nodes by component and tile, and compute the bounding boxes of their blocks."""
-    order, blocks, firsts, boxes = room.order, room.blocks, room.firsts, room.boxes
-    kept = _sort_nodes(pixels, labels, components, room)
+    order, blocks, firsts, boxes = buffers.order, buffers.blocks, buffers.firsts, buffers.boxes
+    kept = _sort_nodes(pixels, labels, components, buffers)
     count, component, tile = 0, -1, -1
     for k in range(kept):
         i = order[k]
-        if labels[i] != component or room.keys[0, i] != tile:
+        if labels[i] != component or buffers.keys[0, i] != tile:
             if labels[i] != component:
                 firsts[labels[i]] = count
-            component, tile = labels[i], room.keys[0, i]
+            component, tile = labels[i], buffers.keys[0, i]
             blocks[count] = k
             copy_row(boxes[count, 0], points[i])
             copy_row(boxes[count, 1], points[i])
@@ -188,10 +188,10 @@ def _gather_blocks(points: F64, pixels: I32, labels: I32, components: int, room:
 
 
 @njit(cache=True, nogil=True)
-def _sort_nodes(pixels: I32, labels: I32, components: int, room: LinkRoom) -> int:
+def _sort_nodes(pixels: I32, labels: I32, components: int, buffers: LinkBuffers) -> int:
     """Sort the nodes by component, column of tiles and row of tiles, and return their number."""
     n = len(pixels)
-    order, (tiles, passing), counts = room.order, room.keys, room.counts
+    order, (tiles, passing), counts = buffers.order, buffers.keys, buffers.counts
     left, right, top = pixels[0, 0], pixels[0, 0], pixels[0, 1]
     for i in range(n):
         left, right = min(left, pixels[i, 0]), max(right, pixels[i, 0])
@@ -222,9 +222,9 @@ def _sort_nodes(pixels: I32, labels: I32, components: int, room: LinkRoom) -> in
 
 
 @njit(cache=True, nogil=True)
-def _update_closest(points: F64, grown: int, component: int, room: LinkRoom) -> None:
+def _update_closest(points: F64, grown: int, component: int, buffers: LinkBuffers) -> None:
     """Update the closest pairs after a component joined the body; ties go to the lowest nodes, the body's first."""
-    boxes, firsts = room.boxes, room.firsts
+    boxes, firsts = buffers.boxes, buffers.firsts
     for skip_far in (True, False):  # the nearest pair of blocks first: its distance excludes most other blocks
         near, near_a, near_b = np.inf, -1, -1
         for a in range(firsts[grown], firsts[grown + 1]):
@@ -232,16 +232,16 @@ def _update_closest(points: F64, grown: int, component: int, room: LinkRoom) -> 
                 bound = _box_square(boxes[a], boxes[b])
                 if skip_far and bound < near:
                     near, near_a, near_b = bound, a, b
-                elif not skip_far and bound <= room.squares[component]:
-                    _compare_blocks(points, np.int64(a), np.int64(b), component, room)
-        if skip_far and near <= room.squares[component]:
-            _compare_blocks(points, np.int64(near_a), np.int64(near_b), component, room)
+                elif not skip_far and bound <= buffers.squares[component]:
+                    _compare_blocks(points, np.int64(a), np.int64(b), component, buffers)
+        if skip_far and near <= buffers.squares[component]:
+            _compare_blocks(points, np.int64(near_a), np.int64(near_b), component, buffers)
 
 
 @njit(cache=True, nogil=True)
-def _compare_blocks(points: F64, a: int, b: int, component: int, room: LinkRoom) -> None:
-    order, blocks, closest, squares = room.order, room.blocks, room.closest, room.squares
-    low, high = room.boxes[b, 0], room.boxes[b, 1]
+def _compare_blocks(points: F64, a: int, b: int, component: int, buffers: LinkBuffers) -> None:
+    order, blocks, closest, squares = buffers.order, buffers.blocks, buffers.closest, buffers.squares
+    low, high = buffers.boxes[b, 0], buffers.boxes[b, 1]
     for k in range(blocks[a], blocks[a + 1]):
         i = order[k]
         x, y, z = points[i, 0], points[i, 1], points[i, 2]
@@ -276,7 +276,7 @@ def _box_square(one: F64, other: F64) -> float:
 
 
 class PointGraph(NamedTuple):
-    """The graph of a frame's points; its arrays are overwritten by the next graph that uses the same `GraphRoom`.
+    """The graph of a frame's points; its arrays are overwritten by the next graph that uses the same `GraphBuffers`.
 
     Attributes
     ----------
@@ -305,7 +305,7 @@ class PointGraph(NamedTuple):
     links: int
 
 
-class GraphRoom(NamedTuple):
+class GraphBuffers(NamedTuple):
     """Preallocated arrays for graphs of frames with at most N points.
 
     Attributes
@@ -334,14 +334,14 @@ class GraphRoom(NamedTuple):
     lengths: F64
     sizes: I32
     body: Bool
-    links: LinkRoom
+    links: LinkBuffers
 
 
-def graph_room(most: int) -> GraphRoom:
+def graph_buffers(most: int) -> GraphBuffers:
     """Allocate the arrays for graphs of frames with at most the given number of points."""
-    components = most // LEAST_NODES + 1
+    components = most // MIN_NODES + 1
     edges = 2 * FORWARD * most + 2 * components
-    return GraphRoom(
+    return GraphBuffers(
         np.zeros(most + 1, np.int32),
         np.zeros(most + 1, np.int32),
         np.zeros(most + 1, np.int32),
@@ -352,7 +352,7 @@ def graph_room(most: int) -> GraphRoom:
         np.zeros(edges),
         np.zeros(most, np.int32),
         np.zeros(most, np.bool_),
-        link_room(most, components),
+        link_buffers(most, components),
     )
 
 
@@ -377,7 +377,7 @@ def edge_threshold(cloud: FrameCloud) -> float:
     return min(EDGE_M, FINE_EDGE_M + EDGE_PER_STEP * float(step))
 
 
-def build_graph(cloud: FrameCloud, threshold: float = EDGE_M, room: GraphRoom | None = None) -> PointGraph:
+def build_graph(cloud: FrameCloud, threshold: float = EDGE_M, buffers: GraphBuffers | None = None) -> PointGraph:
     """Return the graph of a frame's points.
 
     Parameters
@@ -386,28 +386,32 @@ def build_graph(cloud: FrameCloud, threshold: float = EDGE_M, room: GraphRoom | 
         The points.
     threshold : float
         Neighbouring points closer than this are joined, in metres.
-    room : GraphRoom, optional
+    buffers : GraphRoom, optional
         Arrays to reuse from earlier frames; None allocates them.
 
     Returns
     -------
     PointGraph
-        The graph, stored in arrays of `room`.
+        The graph, stored in arrays of `buffers`.
     """
     n = len(cloud.points)
-    if room is None:
-        room = graph_room(n)
-    _join_neighbours(cloud.points, cloud.pixels, cloud.numbers, threshold, room.ahead, room.spans, room.parents)
-    components = _label_components(n, room.parents, room.labels, room.sizes)
-    links = link_components(cloud.points, cloud.pixels, room.labels, room.sizes, components, room.body, room.links)
-    _pack_edges(n, links, room)
-    edges = int(room.starts[n])
+    if buffers is None:
+        buffers = graph_buffers(n)
+    _join_neighbours(
+        cloud.points, cloud.pixels, cloud.numbers, threshold, buffers.ahead, buffers.spans, buffers.parents
+    )
+    components = _label_components(n, buffers.parents, buffers.labels, buffers.sizes)
+    links = link_components(
+        cloud.points, cloud.pixels, buffers.labels, buffers.sizes, components, buffers.body, buffers.links
+    )
+    _pack_edges(n, links, buffers)
+    edges = int(buffers.starts[n])
     return PointGraph(
-        room.starts[: n + 1],
-        room.neighbours[:edges],
-        room.lengths[:edges],
-        room.body[:n],
-        room.labels[:n],
+        buffers.starts[: n + 1],
+        buffers.neighbours[:edges],
+        buffers.lengths[:edges],
+        buffers.body[:n],
+        buffers.labels[:n],
         components,
         links,
     )
@@ -483,7 +487,7 @@ def _label_components(n: int, parents: I32, labels: I32, sizes: I32) -> int:
     for i in range(n):
         if parents[i] != i:
             labels[i] = labels[parents[i]]
-        elif sizes[i] < LEAST_NODES:
+        elif sizes[i] < MIN_NODES:
             labels[i] = -1
         else:
             # a component's number is at most its lowest node, so sizes can be overwritten in place
@@ -493,9 +497,9 @@ def _label_components(n: int, parents: I32, labels: I32, sizes: I32) -> int:
 
 
 @njit(cache=True, nogil=True)
-def _pack_edges(n: int, links: int, room: GraphRoom) -> None:
+def _pack_edges(n: int, links: int, buffers: GraphBuffers) -> None:
     """Write the edges of all nodes one node after the other, each node's neighbours ascending and its links last."""
-    ahead, starts, cursors, pairs = room.ahead, room.starts, room.cursors, room.links.pairs[:links]
+    ahead, starts, cursors, pairs = buffers.ahead, buffers.starts, buffers.cursors, buffers.links.pairs[:links]
     cursors[: n + 1] = 0
     for i in range(n):
         for k in range(FORWARD):
@@ -515,14 +519,14 @@ def _pack_edges(n: int, links: int, room: GraphRoom) -> None:
         for k in range(FORWARD):
             j = ahead[i, k]
             if j >= 0:
-                _write_edge(i, j, room.spans[i, k], room)
+                _write_edge(i, j, buffers.spans[i, k], buffers)
     for k in range(len(pairs)):
-        _write_edge(pairs[k, 0], pairs[k, 1], room.links.spans[k], room)
+        _write_edge(pairs[k, 0], pairs[k, 1], buffers.links.spans[k], buffers)
 
 
 @njit(cache=True, nogil=True)
-def _write_edge(one: int, other: int, span: float, room: GraphRoom) -> None:
-    cursors, neighbours, lengths = room.cursors, room.neighbours, room.lengths
+def _write_edge(one: int, other: int, span: float, buffers: GraphBuffers) -> None:
+    cursors, neighbours, lengths = buffers.cursors, buffers.neighbours, buffers.lengths
     neighbours[cursors[one]], lengths[cursors[one]] = other, span
     neighbours[cursors[other]], lengths[cursors[other]] = one, span
     cursors[one] += 1

@@ -109,7 +109,7 @@ def depth_view(
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def project_samples(view: DepthView, image: FrameImage, samples: F64, seen: F64, places: I64) -> None:
+def project_samples(view: DepthView, image: FrameImage, samples: F64, seen: F64, positions: I64) -> None:
     """Project samples into the image, and find the nearest pixel with a point for each.
 
     Parameters
@@ -123,7 +123,7 @@ def project_samples(view: DepthView, image: FrameImage, samples: F64, seen: F64,
     seen : float64 array (S, 3)
         Their x/z, y/z and z in the camera's axes, x right, y down, z forward, which are written; z ≤ 0 behind the
         camera.
-    places : int64 array (S, 3)
+    positions : int64 array (S, 3)
         Column and row of the pixel with a point that is nearest to each one's own pixel, and the larger number of
         columns or rows between the two, which are written. A sample outside the image counts as at its border.
     """
@@ -147,7 +147,7 @@ def project_samples(view: DepthView, image: FrameImage, samples: F64, seen: F64,
         v = math.floor(min(max(row, 0.0), height - 1.0) + 0.5)
         near = nearest[min(max(v, top), bottom - 1), min(max(u, left), right - 1)]
         p, q = np.int64(pixels[near, 0]), np.int64(pixels[near, 1])
-        places[i, 0], places[i, 1], places[i, 2] = p, q, max(abs(p - u), abs(q - v))
+        positions[i, 0], positions[i, 1], positions[i, 2] = p, q, max(abs(p - u), abs(q - v))
 
 
 @njit(cache=True, nogil=True, error_model="numpy")

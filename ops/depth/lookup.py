@@ -19,9 +19,9 @@ import numpy as np
 from kinedex.ops.arrays import F32, F64, I64
 from kinedex.ops.body.joint_tree import JOINTS
 from kinedex.ops.copies import copy_row, copy_table
-from kinedex.ops.depth.pose_database import turn_poses
 from kinedex.ops.depth.pose_distance import COMPARED, END_EFFECTORS
 from kinedex.ops.depth.pose_index import PoseIndex, PoseTree, search
+from kinedex.ops.depth.thinned_poses import turn_poses
 from kinedex.ops.errors import ParameterError
 
 NEAR_M = 0.5
@@ -30,7 +30,7 @@ NEAR_M = 0.5
 JUMP_M = 0.25
 """Distance in metres; the lowest extrema are tried as feet if one is farther than this from all extrema before."""
 
-MOST_MAPS = 12
+MAX_MAPS = 12
 """Number of assignments, those of smallest sum of distances, that are tried."""
 
 NEIGHBOURS = 10
@@ -80,7 +80,7 @@ class Proposals(NamedTuple):
         For each map the extremum that is assigned to each of the five end effectors.
     sums : float64 array (M,)
         For each map the sum of distances from the previous ends in metres; NaN for a map that was not found from them.
-    turns : float64 array (C,)
+    rotations : float64 array (C,)
         The degrees by which the facing direction was turned for each.
     """
 
@@ -91,10 +91,10 @@ class Proposals(NamedTuple):
     origins: I64
     maps: I64
     sums: F64
-    turns: F64
+    rotations: F64
 
 
-class LookupRoom(NamedTuple):
+class LookupBuffers(NamedTuple):
     """Preallocated arrays for C candidates of at most M maps, with the K nearest poses of each map.
 
     Parameters
@@ -146,9 +146,9 @@ class Lookup:
         self.index = index
         self.among = among
         count = min(NEIGHBOURS, len(index.poses))
-        most = max(MOST_MAPS + _FEET, len(_EVERY_MAP))
+        most = max(MAX_MAPS + _FEET, len(_EVERY_MAP))
         self._sums = np.empty(most)
-        self._room = LookupRoom(
+        self._buffers = LookupBuffers(
             np.empty((most, 5), np.int64), np.empty((most, 15), np.float32), np.empty((most, count), np.int64),
             np.empty((most, count), np.float32), np.empty((most, count)), np.empty((candidates, len(JOINTS), 3)),
             np.empty((candidates, 2), np.int64),
@@ -192,28 +192,28 @@ class Lookup:
         Proposals
             The candidates and the maps that were tried.
         """
-        room, maps = self._room, 0
+        buffers, maps = self._buffers, 0
         if len(extrema) >= 5 and every:
             maps = len(_EVERY_MAP)
-            room.maps[:maps], self._sums[:maps] = _EVERY_MAP, np.nan
+            buffers.maps[:maps], self._sums[:maps] = _EVERY_MAP, np.nan
         elif len(extrema) >= 5 and previous is not None:
             ends = np.ascontiguousarray(previous[END_EFFECTORS])
-            maps = near_maps(extrema[: self.among], ends, room.maps, self._sums)
+            maps = near_maps(extrema[: self.among], ends, buffers.maps, self._sums)
         if len(extrema) >= 5 and not every and (previous is None or jumped or not maps):
-            maps = feet_maps(extrema[:5], room.maps, self._sums, maps)
+            maps = feet_maps(extrema[:5], buffers.maps, self._sums, maps)
         found = _propose(
             extrema, centre, turned_direction(facing, turn_deg),
             np.zeros((len(JOINTS), 3)) if previous is None else previous,
-            previous is not None and compare, maps, self.index.tree, room,
+            previous is not None and compare, maps, self.index.tree, buffers,
         )  # fmt: skip
-        chosen, places = room.found[:found, 0].copy(), room.found[:found, 1]
+        chosen, positions = buffers.found[:found, 0].copy(), buffers.found[:found, 1]
         return Proposals(
-            room.placed[:found].copy(),
-            room.rows[chosen, places],
-            room.costs[chosen, places],
-            np.sqrt(room.squares[chosen, places].astype(np.float64) / len(END_EFFECTORS)),
+            buffers.placed[:found].copy(),
+            buffers.rows[chosen, positions],
+            buffers.costs[chosen, positions],
+            np.sqrt(buffers.squares[chosen, positions].astype(np.float64) / len(END_EFFECTORS)),
             chosen,
-            room.maps[:maps].copy(),
+            buffers.maps[:maps].copy(),
             self._sums[:maps].copy(),
             np.full(found, turn_deg),
         )
@@ -229,7 +229,7 @@ def turned_direction(facing: F64, degrees: float) -> F64:
 
 @nb.njit(cache=True, nogil=True)
 def near_maps(extrema: F64, ends: F64, maps: I64, sums: F64) -> int:
-    """Write the `MOST_MAPS` injective maps of five end effectors to extrema of smallest sum, distances below `NEAR_M`.
+    """Write the `MAX_MAPS` injective maps of five end effectors to extrema of smallest sum, distances below `NEAR_M`.
 
     Parameters
     ----------
@@ -270,9 +270,9 @@ def near_maps(extrema: F64, ends: F64, maps: I64, sums: F64) -> int:
             used[choice[e]] = True
             e += 1
             continue
-        if found == MOST_MAPS and not partial[5] < sums[found - 1]:
+        if found == MAX_MAPS and not partial[5] < sums[found - 1]:
             continue
-        found = min(found + 1, MOST_MAPS)
+        found = min(found + 1, MAX_MAPS)
         place = found - 1
         while place > 0 and sums[place - 1] > partial[5]:
             sums[place] = sums[place - 1]
@@ -325,11 +325,18 @@ def _distance(pose: F64, other: F64) -> float:
 
 @nb.njit(cache=True, nogil=True)
 def _propose(
-    extrema: F64, centre: F64, facing: F64, previous: F64, compare: bool, count: int, tree: PoseTree, room: LookupRoom
+    extrema: F64,
+    centre: F64,
+    facing: F64,
+    previous: F64,
+    compare: bool,
+    count: int,
+    tree: PoseTree,
+    buffers: LookupBuffers,
 ) -> int:
     """Retrieve poses for every map, place the cheapest ones that differ enough, and return their number."""
     poses, centres = tree.poses, tree.centres
-    maps, queries, rows, squares, costs, placed, found = room
+    maps, queries, rows, squares, costs, placed, found = buffers
     turned = extrema - centre
     turn_poses(turned, -facing[0], facing[2])
     before = previous - centre
@@ -385,13 +392,13 @@ def propose_start(lookup: Lookup, extrema: F64, centre: F64, facing: F64) -> Pro
     Proposals
         The candidates of all directions, one direction after the other.
     """
-    turns = (0.0, *TURNS_DEG)
+    rotations = (0.0, *TURNS_DEG)
     return _joined(
-        [lookup.propose(extrema, centre, facing, None, every=turn in ALL_MAPS_DEG, turn_deg=turn) for turn in turns]
+        [lookup.propose(extrema, centre, facing, None, every=turn in ALL_MAPS_DEG, turn_deg=turn) for turn in rotations]
     )
 
 
-def add_turned(proposals: Proposals, lookup: Lookup, extrema: F64, centre: F64, facing: F64, number: int) -> Proposals:
+def add_rotated(proposals: Proposals, lookup: Lookup, extrema: F64, centre: F64, facing: F64, number: int) -> Proposals:
     """Add the best pose that faces another direction, with the lowest extrema as feet, unless it is a candidate.
 
     Parameters

@@ -8,7 +8,7 @@ from numba import njit
 from kinedex.ops.arrays import U8
 from kinedex.ops.errors import ParameterError
 
-MOST_RATIO = 88
+MAX_RATIO = 88
 """The greatest ratio of expansion: the longest copy takes three bytes and becomes 264."""
 
 _TRUNCATED, _TOO_LONG, _TOO_EARLY = -1, -2, -3
@@ -40,8 +40,8 @@ def decompress(data: bytes, size: int) -> U8:
         The data are damaged, or unpack to fewer or more bytes. A size that the data cannot reach is rejected before
         allocating.
     """
-    if not 0 <= size <= MOST_RATIO * len(data):
-        raise ParameterError("size", f"0 to {MOST_RATIO * len(data)} for {len(data)} packed bytes", size)
+    if not 0 <= size <= MAX_RATIO * len(data):
+        raise ParameterError("size", f"0 to {MAX_RATIO * len(data)} for {len(data)} packed bytes", size)
     unpacked = np.empty(size, np.uint8)
     written = _decompress(np.frombuffer(data, np.uint8), unpacked)
     if written < 0:

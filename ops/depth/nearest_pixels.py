@@ -10,7 +10,7 @@ from numba import njit
 from kinedex.ops.arrays import F64, I32, I64
 
 
-class NearestRoom(NamedTuple):
+class NearestBuffers(NamedTuple):
     """Preallocated arrays for finding nearest points.
 
     Attributes
@@ -31,7 +31,7 @@ class NearestRoom(NamedTuple):
     hull: F64
 
 
-def nearest_pixels(numbers: I32, box: tuple[int, int, int, int], room: NearestRoom | None = None) -> I32:
+def nearest_pixels(numbers: I32, box: tuple[int, int, int, int], buffers: NearestBuffers | None = None) -> I32:
     """Return for each pixel of the box the point of the nearest pixel that has one.
 
     Parameters
@@ -40,7 +40,7 @@ def nearest_pixels(numbers: I32, box: tuple[int, int, int, int], room: NearestRo
         The point of each pixel; −1 where there is none.
     box : (int, int, int, int)
         First column, first row, and the column and row after the last, of all points.
-    room : NearestRoom, optional
+    buffers : NearestRoom, optional
         Arrays to reuse from earlier frames; None allocates them.
 
     Returns
@@ -49,21 +49,21 @@ def nearest_pixels(numbers: I32, box: tuple[int, int, int, int], room: NearestRo
         The point, ties to the lowest column, then the lowest row; −1 outside the box, or without points. The next
         frame of the recording overwrites it.
     """
-    room = nearest_room(numbers.shape) if room is None else room
-    _nearest(numbers, *box, room)
-    return room.nearest
+    buffers = nearest_buffers(numbers.shape) if buffers is None else buffers
+    _nearest(numbers, *box, buffers)
+    return buffers.nearest
 
 
-def nearest_room(shape: tuple[int, ...]) -> NearestRoom:
+def nearest_buffers(shape: tuple[int, ...]) -> NearestBuffers:
     """Allocate the arrays for images of h rows and w columns."""
     empty = np.zeros(4, np.int64)
-    return NearestRoom(np.full(shape, -1, np.int32), empty, np.zeros(shape, np.int32), np.zeros((3, shape[1])))
+    return NearestBuffers(np.full(shape, -1, np.int32), empty, np.zeros(shape, np.int32), np.zeros((3, shape[1])))
 
 
 @njit(cache=True, nogil=True)
-def _nearest(numbers: I32, left: int, top: int, right: int, bottom: int, room: NearestRoom) -> None:
+def _nearest(numbers: I32, left: int, top: int, right: int, bottom: int, buffers: NearestBuffers) -> None:
     """Fill in the nearest points: down and up each column, then along each row by the lower envelope of parabolas."""
-    nearest, box, steps = room.nearest, room.box, room.steps
+    nearest, box, steps = buffers.nearest, buffers.box, buffers.steps
     for v in range(box[1], box[3]):
         nearest[v, box[0] : box[2]] = -1
     box[0], box[1], box[2], box[3] = left, top, right, bottom
@@ -78,7 +78,7 @@ def _nearest(numbers: I32, left: int, top: int, right: int, bottom: int, room: N
             if after < -steps[v, u]:
                 steps[v, u] = after
     for v in range(top, bottom):
-        _nearest_of_row(numbers, v, left, right, far, steps[v], room.hull, nearest[v])
+        _nearest_of_row(numbers, v, left, right, far, steps[v], buffers.hull, nearest[v])
 
 
 @njit(cache=True, nogil=True)

@@ -23,10 +23,10 @@ from kinedex.ops.depth.foreground import (
     float32_below,
     remove_noise,
 )
-from kinedex.ops.depth.nearest_pixels import NearestRoom, nearest_room
+from kinedex.ops.depth.nearest_pixels import NearestBuffers, nearest_buffers
 from kinedex.ops.errors import ParameterError
 
-MOST_POINTS = 6000
+MAX_POINTS = 6000
 """Maximum number of points of the median frame: the stride is the smallest that does not exceed it."""
 
 STRIDE_FRAMES = 10
@@ -50,7 +50,7 @@ class FrameCloud(NamedTuple):
         First column, first row, and the column and row after the last, of all points; zeros without any.
     foreground : int
         The number of foreground pixels before cleaning.
-    room : NearestRoom, optional
+    buffers : NearestRoom, optional
         Arrays for `nearest_pixels` to reuse; None allocates them.
     """
 
@@ -60,7 +60,7 @@ class FrameCloud(NamedTuple):
     depth: F32
     box: tuple[int, int, int, int]
     foreground: int
-    room: NearestRoom | None = None
+    buffers: NearestBuffers | None = None
 
 
 def ray_table(matrix: npt.ArrayLike, distortion: npt.ArrayLike, size: tuple[int, int], stride: int = 1) -> F64:
@@ -139,7 +139,7 @@ class Preparation:
             directions, np.zeros((height * width, 3)), np.zeros((height * width, 2), np.int32),
             np.full(self.shape, -1, np.int32), np.zeros(self.shape, np.float32), np.zeros(4, np.int64),
         )  # fmt: skip
-        self._nearest = nearest_room(self.shape)
+        self._nearest = nearest_buffers(self.shape)
 
     def prepare(self, image: npt.ArrayLike) -> FrameCloud:
         """Return the person's points in a frame.
@@ -187,7 +187,7 @@ def choose_stride(
     turn: npt.ArrayLike | None = None,
     floor_height: float | None = None,
     *,
-    most: int = MOST_POINTS,
+    most: int = MAX_POINTS,
 ) -> int:
     """Return the smallest stride at which the median of the first ten frames has at most `most` points.
 

@@ -60,16 +60,16 @@ SIGMA_M, RETRIEVED_SIGMA_M = (0.20, 0.05), (0.25, 0.06)
 SAMPLED_POINTS = 700
 """Approximate number of points in a fit: every ⌊n/700⌋-th of a frame's n points is used."""
 
-SILHOUETTE_WEIGHT, STIFFNESS, LEAST_STIFFNESS = 2.0, 3.0, 1e-3
+SILHOUETTE_WEIGHT, STIFFNESS, MIN_STIFFNESS = 2.0, 3.0, 1e-3
 """Weight of a sample outside the foreground, factor of a pivot's stiffness, and the damping of all unknowns."""
 
-MOST_TURN, LEAST_TURN = 0.6, 0.004
+MAX_TURN, MIN_TURN = 0.6, 0.004
 """Maximum rotation of a pivot in a step, in radians, and the rotation below which the fit has converged."""
 
 WINDOW = 3
 """Half-width in pixels of the window that is searched for the point of a sample."""
 
-MOST_SAMPLE_M, HIDDEN_COST_M, MOST_POINT_M = 0.5, 0.03, 0.15
+MAX_SAMPLE_M, HIDDEN_COST_M, MAX_POINT_M = 0.5, 0.03, 0.15
 """Upper limits of a sample's cost, of a hidden sample's (its constant cost), and of a point's, in metres."""
 
 POINTS_WEIGHT = 2.0
@@ -79,7 +79,7 @@ COST_WINDOW = 4
 """Half-width in pixels of the window that is searched for the point of a sample."""
 
 
-class FitRoom(NamedTuple):
+class FitBuffers(NamedTuple):
     """Preallocated arrays for the fits of a recording.
 
     Attributes
@@ -90,11 +90,11 @@ class FitRoom(NamedTuple):
         The samples of its surface, and their offsets from the axes.
     seen : float64 array (S, 3)
         The samples in the camera, see `project_samples`.
-    places : int64 array (S, 3)
+    positions : int64 array (S, 3)
         Their pixels in the image.
     guesses : int64 array (N,)
         The cones that were nearest to the sampled points.
-    turns : float64 array (P, 3)
+    rotations : float64 array (P, 3)
         Turns of the pivots.
     sums : Sums
         The sums of a step.
@@ -104,9 +104,9 @@ class FitRoom(NamedTuple):
     samples: F64
     offsets: F64
     seen: F64
-    places: I64
+    positions: I64
     guesses: I64
-    turns: F64
+    rotations: F64
     sums: Sums
 
 
@@ -138,7 +138,7 @@ class PoseFit:
         self.body = FitBody(body.cones(height), body.samples, pivots, body.stiffness, moving)
         self.view = view
         samples, count = len(body.sample_cones), len(body.pivots)
-        self.room = FitRoom(
+        self.buffers = FitBuffers(
             np.zeros((len(body.radii), COLUMNS)), np.zeros((samples, 3)), np.zeros((samples, 3)),
             np.zeros((samples, 3)), np.zeros((samples, 3), np.int64), np.zeros(2 * SAMPLED_POINTS, np.int64),
             np.zeros((count, 3)), make_sums(count, moving),
@@ -162,7 +162,7 @@ class PoseFit:
             raise ParameterError("cloud", "a frame with points", "none")
         box = np.array(cloud.box, np.int64)
         self.image = FrameImage(
-            cloud.points, cloud.pixels, cloud.numbers, nearest_pixels(cloud.numbers, cloud.box, cloud.room), box
+            cloud.points, cloud.pixels, cloud.numbers, nearest_pixels(cloud.numbers, cloud.box, cloud.buffers), box
         )
 
     def fit(
@@ -197,37 +197,37 @@ class PoseFit:
             raise ParameterError("image", "that of a frame: call `look` first", None)
         fitted = np.empty_like(pose) if out is None else out
         fitted[:] = pose
-        _fit(self.body, self.view, self.image, self.room, fitted, steps, sigma, form == "printed")
+        _fit(self.body, self.view, self.image, self.buffers, fitted, steps, sigma, form == "printed")
         return fitted
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def _fit(
-    body: FitBody, view: DepthView, image: FrameImage, room: FitRoom, pose: F64, steps: int,
+    body: FitBody, view: DepthView, image: FrameImage, buffers: FitBuffers, pose: F64, steps: int,
     sigmas: tuple[float, float], printed: bool,
 ) -> int:  # fmt: skip
     """Update a pose in place by Gauss–Newton, and return the number of steps."""
-    room.guesses[0] = -1
+    buffers.guesses[0] = -1
     for step in range(steps):
         share = step / (steps - 1.0) if steps > 1 else 0.0
         sigma = sigmas[0] * (sigmas[1] / sigmas[0]) ** share
-        place_cones(body.cones, pose, room.placed)
-        place_samples(body.samples, room.placed, room.samples, room.offsets)
-        clear_sums(room.sums)
+        place_cones(body.cones, pose, buffers.placed)
+        place_samples(body.samples, buffers.placed, buffers.samples, buffers.offsets)
+        clear_sums(buffers.sums)
         if not printed:
-            add_points(body, image, room, pose, sigma)
-        add_samples(body, view, image, room, pose, sigma, printed)
-        assemble(body.moving, body.cones.joints, body.pivots, pose, room.sums)
-        if _move(body, room, pose) <= LEAST_TURN:
+            add_points(body, image, buffers, pose, sigma)
+        add_samples(body, view, image, buffers, pose, sigma, printed)
+        assemble(body.moving, body.cones.joints, body.pivots, pose, buffers.sums)
+        if _move(body, buffers, pose) <= MIN_TURN:
             return step + 1
     return steps
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def add_points(body: FitBody, image: FrameImage, room: FitRoom, pose: F64, sigma: float) -> None:
+def add_points(body: FitBody, image: FrameImage, buffers: FitBuffers, pose: F64, sigma: float) -> None:
     """Add the rows n · dq = d for sampled image points and the visible side of their nearest cone."""
-    points, guesses, placed, root = image.points, room.guesses, room.placed, pose[body.pivots.joints[0]]
-    blends, pivots, faces, rigid = body.moving.blends, body.moving.rigid, room.sums.faces, room.sums.rigid
+    points, guesses, placed, root = image.points, buffers.guesses, buffers.placed, pose[body.pivots.joints[0]]
+    blends, pivots, faces, rigid = body.moving.blends, body.moving.rigid, buffers.sums.faces, buffers.sums.rigid
     every = max(1, len(points) // SAMPLED_POINTS)
     first = guesses[0] < 0
     guess = 0
@@ -249,19 +249,19 @@ def add_points(body: FitBody, image: FrameImage, room: FitRoom, pose: F64, sigma
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def add_samples(
-    body: FitBody, view: DepthView, image: FrameImage, room: FitRoom, pose: F64, sigma: float, printed: bool
+    body: FitBody, view: DepthView, image: FrameImage, buffers: FitBuffers, pose: F64, sigma: float, printed: bool
 ) -> None:
     """Add the rows of surface samples and their points: of samples outside the foreground, or of all samples."""
     factor = 1.0 if printed else SILHOUETTE_WEIGHT
-    root, rigid = pose[body.pivots.joints[0]], room.sums.rigid
-    samples, seen, places = room.samples, room.seen, room.places
+    root, rigid = pose[body.pivots.joints[0]], buffers.sums.rigid
+    samples, seen, positions = buffers.samples, buffers.seen, buffers.positions
     points, numbers, turn = image.points, image.numbers, view.turn
-    project_samples(view, image, samples, seen, places)
+    project_samples(view, image, samples, seen, positions)
     for i in range(len(samples)):
-        if seen[i, 2] <= 0.0 or (places[i, 2] <= 1 and not printed):
+        if seen[i, 2] <= 0.0 or (positions[i, 2] <= 1 and not printed):
             continue
         x, y, z = samples[i, 0], samples[i, 1], samples[i, 2]
-        number = closest_point(points, numbers, places[i, 0], places[i, 1], x, y, z, WINDOW)
+        number = closest_point(points, numbers, positions[i, 0], positions[i, 1], x, y, z, WINDOW)
         if is_hidden(turn, points[number], seen[i, 0], seen[i, 1], seen[i, 2]):
             continue
         u, v, w = points[number, 0] - x, points[number, 1] - y, points[number, 2] - z
@@ -270,8 +270,8 @@ def add_samples(
         cone = body.samples.cones[i]
         blend, pivot = body.moving.blends[cone], body.moving.rigid[cone]
         if blend >= 0:
-            matrix, right = room.sums.blended[blend], room.sums.blended_right[blend]
-            add_blended_vector(matrix, right, body.samples.places[i], room.offsets[i], u, v, w, weight)
+            matrix, right = buffers.sums.blended[blend], buffers.sums.blended_right[blend]
+            add_blended_vector(matrix, right, body.samples.positions[i], buffers.offsets[i], u, v, w, weight)
             continue
         x, y, z = x - root[0], y - root[1], z - root[2]
         add_rigid_face(rigid, pivot, x, y, z, 1.0, 0.0, 0.0, u, weight)
@@ -280,25 +280,25 @@ def add_samples(
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _move(body: FitBody, room: FitRoom, pose: F64) -> float:
+def _move(body: FitBody, buffers: FitBuffers, pose: F64) -> float:
     """Solve for a step, apply it to the pose, and return the largest rotation in radians."""
-    count, matrix, step = len(body.pivots.joints), room.sums.matrix, room.sums.right
+    count, matrix, step = len(body.pivots.joints), buffers.sums.matrix, buffers.sums.right
     for k in range(count):
         for i in range(3 * (count - 1 - k), 3 * (count - k)):
-            matrix[i, i] += STIFFNESS * body.stiffness[k] + LEAST_STIFFNESS
+            matrix[i, i] += STIFFNESS * body.stiffness[k] + MIN_STIFFNESS
     for i in range(3 * count, 3 * count + 3):
-        matrix[i, i] += LEAST_STIFFNESS
-    if not solve(room.sums):
+        matrix[i, i] += MIN_STIFFNESS
+    if not solve(buffers.sums):
         return 0.0
     largest = 0.0
     for k in range(count):
         turn = step[3 * (count - 1 - k) : 3 * (count - k)]
         angle = math.sqrt(turn[0] * turn[0] + turn[1] * turn[1] + turn[2] * turn[2])
-        scale = MOST_TURN / angle if angle > MOST_TURN else 1.0
+        scale = MAX_TURN / angle if angle > MAX_TURN else 1.0
         largest = max(largest, angle)
         for i in range(3):
-            room.turns[k, i] = scale * turn[i]
-    turn_pose(body.pivots, pose, room.turns, step[3 * count :])
+            buffers.rotations[k, i] = scale * turn[i]
+    turn_pose(body.pivots, pose, buffers.rotations, step[3 * count :])
     return largest
 
 
@@ -345,41 +345,45 @@ def cost_of(fit: PoseFit, pose: F64, extrema: F64, form: Form = "best") -> PoseC
     if fit.image is None:
         raise ParameterError("fit", "one that has looked at a frame", None)
     surface, ends, points = _cost(
-        fit.body, fit.view, fit.image, fit.room, pose, np.ascontiguousarray(extrema), form == "printed"
+        fit.body, fit.view, fit.image, fit.buffers, pose, np.ascontiguousarray(extrema), form == "printed"
     )
     return PoseCost(surface + ends + points, surface, ends, points)
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def _cost(
-    body: FitBody, view: DepthView, image: FrameImage, room: FitRoom, pose: F64, extrema: F64, printed: bool
+    body: FitBody, view: DepthView, image: FrameImage, buffers: FitBuffers, pose: F64, extrema: F64, printed: bool
 ) -> tuple[float, float, float]:
     """Return the three parts of the cost: surface, extrema and points."""
-    place_cones(body.cones, pose, room.placed)
-    place_samples(body.samples, room.placed, room.samples, room.offsets)
+    place_cones(body.cones, pose, buffers.placed)
+    place_samples(body.samples, buffers.placed, buffers.samples, buffers.offsets)
     surface, ends, points = 0.0, 0.0, 0.0
-    project_samples(view, image, room.samples, room.seen, room.places)
-    for i in range(len(room.samples)):
-        if room.seen[i, 2] <= 0.0:
-            surface += MOST_SAMPLE_M
+    project_samples(view, image, buffers.samples, buffers.seen, buffers.positions)
+    for i in range(len(buffers.samples)):
+        if buffers.seen[i, 2] <= 0.0:
+            surface += MAX_SAMPLE_M
             continue
-        x, y, z = room.samples[i, 0], room.samples[i, 1], room.samples[i, 2]
-        number = closest_point(image.points, image.numbers, room.places[i, 0], room.places[i, 1], x, y, z, COST_WINDOW)
+        x, y, z = buffers.samples[i, 0], buffers.samples[i, 1], buffers.samples[i, 2]
+        number = closest_point(
+            image.points, image.numbers, buffers.positions[i, 0], buffers.positions[i, 1], x, y, z, COST_WINDOW
+        )
         point = image.points[number]
-        if is_hidden(view.turn, point, room.seen[i, 0], room.seen[i, 1], room.seen[i, 2]):
+        if is_hidden(view.turn, point, buffers.seen[i, 0], buffers.seen[i, 1], buffers.seen[i, 2]):
             surface += HIDDEN_COST_M
         else:
             distance = math.sqrt((point[0] - x) ** 2 + (point[1] - y) ** 2 + (point[2] - z) ** 2)
-            surface += min(distance, MOST_SAMPLE_M)
+            surface += min(distance, MAX_SAMPLE_M)
     guess = 0
     for i in range(len(extrema)):
-        d, guess, _ = nearest_cone(room.placed, extrema[i, 0], extrema[i, 1], extrema[i, 2], np.int64(guess))
+        d, guess, _ = nearest_cone(buffers.placed, extrema[i, 0], extrema[i, 1], extrema[i, 2], np.int64(guess))
         ends += abs(d)
     if not printed:
         every, count = max(1, len(image.points) // SAMPLED_POINTS), 0
         for i in range(0, len(image.points), every):
-            d, guess, _ = nearest_cone(room.placed, image.points[i, 0], image.points[i, 1], image.points[i, 2], guess)
-            points += min(abs(d), MOST_POINT_M)
+            d, guess, _ = nearest_cone(
+                buffers.placed, image.points[i, 0], image.points[i, 1], image.points[i, 2], guess
+            )
+            points += min(abs(d), MAX_POINT_M)
             count += 1
         points *= POINTS_WEIGHT / count
-    return surface / len(room.samples), ends / max(1, len(extrema)), points
+    return surface / len(buffers.samples), ends / max(1, len(extrema)), points

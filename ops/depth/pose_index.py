@@ -69,7 +69,7 @@ class PoseIndex:
     Parameters
     ----------
     poses : float64 array (N, 24, 3)
-        Poses of one body that face +Z, with the root at 0, see `ops.depth.pose_database.place_directions`.
+        Poses of one body that face +Z, with the root at 0, see `ops.depth.thinned_poses.place_directions`.
 
     Attributes
     ----------

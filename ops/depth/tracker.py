@@ -16,14 +16,14 @@ from numba import njit
 from kinedex.ops.arrays import F32, F64, I64, Bool
 from kinedex.ops.body.joint_tree import JOINTS, PARENTS
 from kinedex.ops.depth.cones import ConeBody, body_distance
-from kinedex.ops.depth.extrema import COUNT, ExtremaRoom, extrema_room, find_source, geodesic_extrema, tips_first
+from kinedex.ops.depth.extrema import COUNT, ExtremaBuffers, extrema_buffers, find_source, geodesic_extrema, tips_first
 from kinedex.ops.depth.facing_direction import facing_from_points, point_centre, sample_step
 from kinedex.ops.depth.graph import (
     EDGE_M,
-    GraphRoom,
+    GraphBuffers,
     build_graph,
     edge_threshold,
-    graph_room,
+    graph_buffers,
     nearest_person,
     restrict_cloud,
     split_people,
@@ -35,12 +35,11 @@ from kinedex.ops.depth.lookup import (
     TURNED_SHARE,
     Lookup,
     Proposals,
-    add_turned,
+    add_rotated,
     best_of_rows,
     propose_start,
 )
 from kinedex.ops.depth.points import FrameCloud, Preparation
-from kinedex.ops.depth.pose_database import facing_of, place_directions
 from kinedex.ops.depth.pose_fit import (
     PRINTED_STEPS,
     RETRIEVED_SIGMA_M,
@@ -52,11 +51,12 @@ from kinedex.ops.depth.pose_fit import (
     cost_of,
 )
 from kinedex.ops.depth.pose_index import PoseIndex
+from kinedex.ops.depth.thinned_poses import facing_of, place_directions
 from kinedex.ops.errors import ParameterError
 
 Hypothesis = Literal["local", "database"]
 
-LEAST_POINTS = 200
+MIN_POINTS = 200
 """Minimum number of points of a frame that shows a person."""
 
 ABSENT_S, MISSING_S = 0.5, 0.2
@@ -268,8 +268,8 @@ class Reconstructor:
         index = PoseIndex(place_directions(directions, self.bone_lengths))
         self.lookup = Lookup(index, 1 if printed else self.settings.candidates, 5 if printed else 6)
         self._poses = PoseFit(body, self.height, view)
-        self._graph: GraphRoom | None = None
-        self._extrema: ExtremaRoom | None = None
+        self._graph: GraphBuffers | None = None
+        self._extrema: ExtremaBuffers | None = None
         self._joints = cone_joints(body)
         self.restart()
 
@@ -308,7 +308,7 @@ class Reconstructor:
         """
         cloud = self.preparation.prepare(image)
         self._missing = 0
-        if len(cloud.points) < LEAST_POINTS:
+        if len(cloud.points) < MIN_POINTS:
             return self._nobody(cloud)
         scene = self._look(cloud)
         self._poses.look(scene.cloud)
@@ -336,7 +336,7 @@ class Reconstructor:
         """Return the extrema, the centre and the facing direction of the nearest person in a frame's points."""
         pixels = self.preparation.shape[0] * self.preparation.shape[1]
         if self._graph is None:
-            self._graph = graph_room(pixels)
+            self._graph = graph_buffers(pixels)
         threshold = EDGE_M if self.settings.is_printed else edge_threshold(cloud)
         graph = build_graph(cloud, threshold, self._graph)
         people = split_people(cloud, graph)
@@ -344,11 +344,11 @@ class Reconstructor:
             cloud = restrict_cloud(cloud, people[nearest_person(cloud, people, self._pose)])
             graph = build_graph(cloud, threshold, self._graph)
         if self._extrema is None:
-            self._extrema = extrema_room(pixels)
+            self._extrema = extrema_buffers(pixels)
         source = find_source(cloud, graph, 0.0) if self.settings.is_printed else find_source(cloud, graph)
         nodes = np.empty(0, np.int32)
         if source >= 0:
-            found = geodesic_extrema(graph, source, room=self._extrema)
+            found = geodesic_extrema(graph, source, buffers=self._extrema)
             nodes = (found if self.settings.is_printed else tips_first(cloud, graph, found, self._extrema)).nodes
         centre = point_centre(cloud.points)
         if self._pose is None or self.settings.is_printed:
@@ -380,7 +380,7 @@ class Reconstructor:
                 row = candidates[best].row
                 parts[1] = cost = self._cost(database, scene)
                 cost_database = cost.total
-                is_turned = previous is not None and proposals.turns[best] != 0.0
+                is_turned = previous is not None and proposals.rotations[best] != 0.0
                 if not cost_local * (TURNED_SHARE if is_turned else 1.0) <= cost_database:
                     pose, hypothesis = database, "database"
         return FrameResult(
@@ -420,7 +420,7 @@ class Reconstructor:
         self._frames += 1
         if self._frames % TURN_FRAMES:
             return found
-        return add_turned(found, self.lookup, extrema, centre, facing, self._frames // TURN_FRAMES - 1)
+        return add_rotated(found, self.lookup, extrema, centre, facing, self._frames // TURN_FRAMES - 1)
 
     def _try(
         self, proposals: Proposals, scene: _Scene, is_start: bool

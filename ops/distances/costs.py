@@ -130,7 +130,7 @@ def template_columns(template: QuantisedTemplate) -> TemplateColumns:
     return TemplateColumns(np.array(template.value), masks, group_weights, _total_weights(masks, group_weights))
 
 
-def lay_out(templates: Sequence[QuantisedTemplate]) -> Layout:
+def column_layout(templates: Sequence[QuantisedTemplate]) -> Layout:
     """Arrange the columns of templates side by side, see `Layout`."""
     lengths = np.array([len(template) for template in templates], np.int64)
     firsts = np.concatenate(([0], np.cumsum(lengths + 1)[:-1])).astype(np.int64)

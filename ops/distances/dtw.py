@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from kinedex.ops.arrays import I64, U64, Array
-from kinedex.ops.distances.costs import cost_table, encode, lay_out
+from kinedex.ops.distances.costs import column_layout, cost_table, encode
 from kinedex.ops.distances.sweep import pieces_of, sweep
 from kinedex.ops.ranges import checked_ranges
 from kinedex.ops.templates.templates import QuantisedTemplate
@@ -59,7 +59,7 @@ def distance_curves(
     curves = np.full((len(templates), len(words)), np.inf, dtype)
     if not templates or not len(checked):
         return curves
-    layout = lay_out(templates)
+    layout = column_layout(templates)
     lead_in = 2 * (int(layout.lengths.max()) - 1)
     most_words = max(1, _TABLE_CELLS // layout.width)
     # If there are few different words in all, one table serves all frames; else parts of the ranges get their own

@@ -21,12 +21,12 @@ MOMENTS = 32
 _BLOCK = 256
 
 
-def motion_outline(places: F64, placement: Placement) -> F32:
+def motion_outline(positions: F64, placement: Placement) -> F32:
     """Return a clip's outline: its joints at `MOMENTS` moments, moved to start at the origin facing +Z.
 
     Parameters
     ----------
-    places : float array (T, J, 3)
+    positions : float array (T, J, 3)
         Places in metres, Y up; NaN where a joint is not known.
     placement : Placement
         The body's place in the first frame.
@@ -36,11 +36,11 @@ def motion_outline(places: F64, placement: Placement) -> F32:
     float32 array (MOMENTS, J, 3)
         The positions, interpolated between frames.
     """
-    at = np.linspace(0.0, len(places) - 1.0, MOMENTS)
+    at = np.linspace(0.0, len(positions) - 1.0, MOMENTS)
     left = np.floor(at).astype(np.int64)
-    right = np.minimum(left + 1, len(places) - 1)
+    right = np.minimum(left + 1, len(positions) - 1)
     share = (at - left)[:, None, None]
-    moved = np.where(share > 0, places[left] * (1.0 - share) + places[right] * share, places[left])
+    moved = np.where(share > 0, positions[left] * (1.0 - share) + positions[right] * share, positions[left])
     return start_at_origin(moved, placement).astype(np.float32)
 
 

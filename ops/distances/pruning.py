@@ -1,7 +1,7 @@
 """Exact pruning excludes frames where a distance curve cannot have minima below a threshold, by lower bounds.
 
 There are three bounds, each proven below: coarse units (`coarse_bounds`), then whole units and windows (`fine_bound`).
-The remaining frames are computed in float64 by `ops.ranking.ranking`, or over short ranges by
+The remaining frames are computed in float64 by `ops.ranking.best_hits`, or over short ranges by
 `ops.distances.range_minima`, so that hits equal those of the full curve of `ops.distances.dtw.distance_curves`.
 
 Before these, `granule_bounds` bounds distance curves from below by the coarse copy of bit slices alone. The coarse copy
@@ -32,7 +32,7 @@ import numpy as np
 from kinedex.ops.annotation.segments import TOLERANCE
 from kinedex.ops.arrays import F32, F64, I32, I64, U8, U16, U64, Bool
 from kinedex.ops.bits import count_bits
-from kinedex.ops.distances.costs import CodedWords, bound_table, lay_out, template_columns
+from kinedex.ops.distances.costs import CodedWords, bound_table, column_layout, template_columns
 from kinedex.ops.distances.recurrence import COARSE_CAP
 from kinedex.ops.distances.sweep import BLOCK, CAP, SLOTS, least_sums, pieces_of, sweep_bounds
 from kinedex.ops.errors import ParameterError
@@ -42,8 +42,8 @@ from kinedex.ops.templates.templates import QuantisedTemplate
 _PIECE = 4096  # frames of a range that are computed independently of its other frames
 # most bytes of a table of coarse costs; with many different words, fewer templates share a pass
 _TABLE_CELLS = 16_000_000
-_LEAST_COLUMNS = 128  # least number of columns in a pass for which coarse sums save more time than they cost
-_MOST_TEMPLATES = SLOTS // 2  # most templates in one pass: with more, a large part of the rows would be padding
+_MIN_COLUMNS = 128  # least number of columns in a pass for which coarse sums save more time than they cost
+_MAX_TEMPLATES = SLOTS // 2  # most templates in one pass: with more, a large part of the rows would be padding
 
 LONG = 40
 """Number of columns from which templates are divided into blocks of 8 columns; others have blocks of 4."""
@@ -106,7 +106,7 @@ class FineBound:
 
 def coarse_bound(template: QuantisedTemplate, coded: CodedWords, threshold: float, ranges: I64) -> CoarseBound | None:
     """Return the coarse bound of one template alone, or None where it would not save time; see `coarse_bounds`."""
-    if len(template) < _LEAST_COLUMNS:
+    if len(template) < _MIN_COLUMNS:
         return None
     return coarse_bounds([template], coded, np.array([threshold]), ranges)[0]
 
@@ -146,11 +146,11 @@ def coarse_bounds(
     first, columns = 0, 0
     for place in range(len(templates) + 1):
         full = place < len(templates) and (
-            columns + len(templates[place]) >= most_columns or place - first == _MOST_TEMPLATES
+            columns + len(templates[place]) >= most_columns or place - first == _MAX_TEMPLATES
         )
         if place > first and (place == len(templates) or full):
             if len(ranges):
-                layout = lay_out(templates[first:place])
+                layout = column_layout(templates[first:place])
                 pieces = pieces_of(ranges, _PIECE, 2 * (int(layout.lengths.max()) - 1))
                 units = thresholds[first:place] * layout.lengths / COARSE_CAP
                 sums[first:place] = least_sums(layout, coded, units, pieces)
@@ -195,7 +195,7 @@ def fine_bound(
     """
     if not threshold > 0:
         raise ParameterError("threshold", "above 0", threshold)
-    layout = lay_out([template])
+    layout = column_layout([template])
     columns = len(template)
     cost = threshold * columns / CAP
     units = np.full((1, len(coded)), CAP, np.uint16)
@@ -226,12 +226,12 @@ def pieces_below(bound: CoarseBound, threshold: float, ranges: I64, lead_in: int
 
     Blocks are merged into one piece where fewer than `lead_in` frames lie between them. Pieces are ascending.
     """
-    places = np.flatnonzero(bound.blocks_below(threshold))
-    if not len(places):
+    positions = np.flatnonzero(bound.blocks_below(threshold))
+    if not len(positions):
         return np.empty((0, 3), np.int64)
-    apart = np.flatnonzero((np.diff(places) - 1) * BLOCK > lead_in)
-    begins = places[np.concatenate(([0], apart + 1))] * BLOCK
-    ends = (places[np.concatenate((apart, [len(places) - 1]))] + 1) * BLOCK
+    apart = np.flatnonzero((np.diff(positions) - 1) * BLOCK > lead_in)
+    begins = positions[np.concatenate(([0], apart + 1))] * BLOCK
+    ends = (positions[np.concatenate((apart, [len(positions) - 1]))] + 1) * BLOCK
     # A piece overlaps the ranges from the first that ends after its start to the last that starts before its end.
     first = np.searchsorted(ranges[:, 1], begins, side="right")
     counts = np.maximum(np.searchsorted(ranges[:, 0], ends, side="left") - first, 0)

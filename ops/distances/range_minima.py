@@ -15,7 +15,7 @@ import numpy as np
 
 from kinedex.ops.annotation.segments import TOLERANCE, Matches
 from kinedex.ops.arrays import F64, I32, I64, U64
-from kinedex.ops.distances.costs import CodedWords, TemplateColumns, column_costs, encode, lay_out
+from kinedex.ops.distances.costs import CodedWords, TemplateColumns, column_costs, column_layout, encode
 from kinedex.ops.distances.pruning import CoarseBound, pieces_below
 from kinedex.ops.distances.recurrence import path_cost, step_back
 from kinedex.ops.errors import ParameterError
@@ -73,7 +73,7 @@ def minima_within(
         for template, own, bound, tau in zip(templates, ranges, bounds, thresholds.tolist(), strict=True)
     ]
     edges = np.cumsum([0, *map(len, pieces)]).astype(np.int64)
-    layout = lay_out(templates)
+    layout = column_layout(templates)
     coded = encode(words) if coded is None else coded
     taus = np.ascontiguousarray(thresholds, np.float64)
     found = fill_matches(

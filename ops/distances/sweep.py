@@ -240,13 +240,13 @@ def least_sums(layout: Layout, coded: CodedWords, units: F64, pieces: I64) -> U8
     uint8 array (T, B)
         The sums, saturated at `COARSE_CAP`, which is also the value outside the pieces.
     """
-    rows, slots, places = place_columns(layout.lengths)
+    rows, slots, positions = place_columns(layout.lengths)
     sums = np.full((len(slots), -(-len(coded) // BLOCK)), COARSE_CAP, np.uint8)
     if not len(pieces):
         return sums
     width = rows * SLOTS
-    others = np.setdiff1d(np.arange(width), places)
-    table = _table(layout, coded.vocabulary, units, places, others, width)
+    others = np.setdiff1d(np.arange(width), positions)
+    table = _table(layout, coded.vocabulary, units, positions, others, width)
     initial = aligned_bytes((2 * SLOTS + width,), COARSE_CAP)
     initial[2 * SLOTS + others] = 0
     above = aligned_bytes((2 * SLOTS,), COARSE_CAP)
@@ -284,13 +284,13 @@ def place_columns(lengths: I64) -> tuple[int, I64, I64]:
     return rows, ends - 1, down % rows * SLOTS + down // rows
 
 
-def _table(layout: Layout, vocabulary: U64, units: F64, places: I64, others: I64, width: int) -> U8:
+def _table(layout: Layout, vocabulary: U64, units: F64, positions: I64, others: I64, width: int) -> U8:
     """Tabulate the units of every word against every column at the columns' byte positions; other bytes are 0."""
     own = np.setdiff1d(np.arange(layout.width), layout.padding)
     columns, groups = in_units(layout, units), len(layout.columns.group_masks)
     values, masks, weights = np.zeros(width, np.uint64), np.zeros((groups, width), np.uint64), np.zeros((groups, width))
-    values[places], masks[:, places] = columns.values[own], columns.group_masks[:, own]
-    weights[:, places] = columns.group_weights[:, own]
+    values[positions], masks[:, positions] = columns.values[own], columns.group_masks[:, own]
+    weights[:, positions] = columns.group_weights[:, own]
     table = aligned_bytes((len(vocabulary), width))
     placed = TemplateColumns(values, masks, weights, np.ones(width))
     fill_bounds(vocabulary, placed, COARSE_CAP, np.ones(len(vocabulary), np.bool_), table)

@@ -19,7 +19,7 @@ from kinedex.ops.words import NO_WORD
 
 _NO_WORD = np.uint64(NO_WORD)
 
-MOST_COSTS = 4_000_000
+MAX_COSTS = 4_000_000
 """Maximum number of costs of words against columns that are kept for tracing paths: 32 MB."""
 
 
@@ -52,7 +52,7 @@ def make_window(frames: int, columns: int, words: int) -> Window:
     """Allocate a window for at most the given numbers of frames and columns, and a vocabulary size (kernel)."""
     sums = np.empty((frames + 2, columns + 2))
     sums[:2, :] = np.inf
-    costs = np.empty((max(frames, min(words, MOST_COSTS // columns)), columns))
+    costs = np.empty((max(frames, min(words, MAX_COSTS // columns)), columns))
     return Window(sums, costs, np.full(words, -1, np.int32), np.zeros(1, np.int64), np.full((frames, 2), -1, np.int64))
 
 

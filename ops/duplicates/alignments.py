@@ -17,7 +17,7 @@ import numpy as np
 
 from kinedex.ops.arrays import F64, I64, U64, Bool
 from kinedex.ops.bits import count_bits
-from kinedex.ops.duplicates.same_motion import LEAST_S
+from kinedex.ops.duplicates.same_motion import MIN_DURATION_S
 from kinedex.ops.search.runs import WordRuns
 from kinedex.ops.words import NO_WORD
 
@@ -39,7 +39,7 @@ NEIGHBOURS = 3
 KEPT = 3
 """Number of alignments of a pair of takes that are verified, those with most votes first."""
 
-MOST_VOTES = 4_000_000
+MAX_VOTES = 4_000_000
 """Maximum number of votes in memory at once, some 400 MB while they are sorted."""
 
 _PRIME = np.uint64(0x9E37_79B9_7F4A_7C15)
@@ -104,7 +104,7 @@ class _Places(NamedTuple):
     asked: Bool
 
 
-def find_alignments(runs: WordRuns, mirrored: U64 | None = None, most_votes: int = MOST_VOTES) -> Iterator[Alignments]:
+def find_alignments(runs: WordRuns, mirrored: U64 | None = None, most_votes: int = MAX_VOTES) -> Iterator[Alignments]:
     """Find the alignments of different takes in which several sequences of runs are equal.
 
     Parameters
@@ -282,7 +282,7 @@ def plausible(words: U64, offsets: I64, mirrored: U64 | None, found: Alignments,
     bool array (A,)
         False where the words differ too much.
     """
-    differ = word_differences(words, offsets, mirrored, found, max(1, round(LEAST_S * rate_hz)))
+    differ = word_differences(words, offsets, mirrored, found, max(1, round(MIN_DURATION_S * rate_hz)))
     lengths = np.diff(offsets)
     long = np.minimum(lengths[found.first], lengths[found.second]) >= LONG_S * rate_hz
     kept: Bool = np.where(long, (differ <= LONG_DIFFER) & (found.votes >= LONG_VOTES), differ <= SHORT_DIFFER)

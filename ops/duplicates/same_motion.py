@@ -25,13 +25,13 @@ RATIO = 0.15
 FLOOR_M = 0.0001
 """Distance in metres below which poses count as equal, due to rounding in files, however still the body is."""
 
-LEAST_S = 1.0
+MIN_DURATION_S = 1.0
 """Minimum duration in seconds of a common interval, unless it is nearly all of the shorter take."""
 
 NEARLY_ALL = 0.9
 """Share of the shorter take from which a common interval counts as nearly all of it."""
 
-MOST = 256
+MAX_SAMPLED_FRAMES = 256
 """Maximum number of frames in which the shift between two frames is estimated."""
 
 _STEPS = 8  # steps per frame of the first search for the shift between two frames
@@ -56,12 +56,12 @@ class SameMotion(NamedTuple):
     distance_m: float
 
 
-def local_poses(places: F32, root: int, left: int, right: int, *, mirrored: bool = False) -> F32:
+def local_poses(positions: F32, root: int, left: int, right: int, *, mirrored: bool = False) -> F32:
     """Return joint positions relative to the root, rotated so that the hips lie along the X axis.
 
     Parameters
     ----------
-    places : float32 array (T, J, 3)
+    positions : float32 array (T, J, 3)
         Places in metres, Y up.
     root, left, right : int
         The joints of the root and of the left and right hip.
@@ -74,22 +74,26 @@ def local_poses(places: F32, root: int, left: int, right: int, *, mirrored: bool
         Positions that depend neither on the body's position nor on its facing direction; NaN where a joint is not
         known.
     """
-    return _local(places, root, left, right, -1.0 if mirrored else 1.0)
+    return _local(positions, root, left, right, -1.0 if mirrored else 1.0)
 
 
 @njit(cache=True, nogil=True)
-def _local(places: F32, root: int, left: int, right: int, side: float) -> F32:
-    turned = np.empty(places.shape, np.float32)
-    for t in range(len(places)):
-        x0, y0, z0 = np.float64(places[t, root, 0]), np.float64(places[t, root, 1]), np.float64(places[t, root, 2])
-        across = side * (np.float64(places[t, left, 0]) - places[t, right, 0])
-        along = np.float64(places[t, left, 2]) - places[t, right, 2]
+def _local(positions: F32, root: int, left: int, right: int, side: float) -> F32:
+    turned = np.empty(positions.shape, np.float32)
+    for t in range(len(positions)):
+        x0, y0, z0 = (
+            np.float64(positions[t, root, 0]),
+            np.float64(positions[t, root, 1]),
+            np.float64(positions[t, root, 2]),
+        )
+        across = side * (np.float64(positions[t, left, 0]) - positions[t, right, 0])
+        along = np.float64(positions[t, left, 2]) - positions[t, right, 2]
         length = math.hypot(across, along)
         cosine, sine = (across / length, along / length) if length > 0 else (across, along)
-        for j in range(places.shape[1]):
-            x, z = side * (np.float64(places[t, j, 0]) - x0), np.float64(places[t, j, 2]) - z0
+        for j in range(positions.shape[1]):
+            x, z = side * (np.float64(positions[t, j, 0]) - x0), np.float64(positions[t, j, 2]) - z0
             turned[t, j, 0] = cosine * x + sine * z
-            turned[t, j, 1] = np.float64(places[t, j, 1]) - y0
+            turned[t, j, 1] = np.float64(positions[t, j, 1]) - y0
             turned[t, j, 2] = cosine * z - sine * x
     return turned
 
@@ -109,8 +113,8 @@ def same_motion(first: F32, second: F32, shift: int, rate_hz: float) -> SameMoti
     Returns
     -------
     SameMotion or None
-        None if the interval is shorter than `LEAST_S` (and than `NEARLY_ALL` of the shorter take), or if its poses
-        differ by more than `RATIO` times the movement in `LAG_S`.
+        None if the interval is shorter than `MIN_DURATION_S` (and than `NEARLY_ALL` of the shorter take), or if its
+        poses differ by more than `RATIO` times the movement in `LAG_S`.
     """
     low, high = max(0, -shift), min(len(second), len(first) - shift)
     if high - low < 2:
@@ -119,7 +123,7 @@ def same_motion(first: F32, second: F32, shift: int, rate_hz: float) -> SameMoti
     distances = _distances(first, second, low, high, moment)
     begin, end = _longest(distances, NEAR_M, GAP_FRAMES)
     shorter = min(len(first), len(second))
-    if end - begin < min(LEAST_S * rate_hz, NEARLY_ALL * shorter) or end - begin < 2:
+    if end - begin < min(MIN_DURATION_S * rate_hz, NEARLY_ALL * shorter) or end - begin < 2:
         return None
     start, stop = low + begin, low + end
     lag = max(1, round(LAG_S * rate_hz))
@@ -153,8 +157,9 @@ def _moment(first: F32, second: F32, low: int, high: int, shift: float) -> float
 
 @njit(cache=True, nogil=True)
 def _cost(first: F32, second: F32, low: int, high: int, shift: float) -> float:
-    """Return the mean distance of poses, each clipped at `NEAR_M`, in `MOST` frames spread over the interval."""
-    stride = max(1, (high - low) // MOST)
+    """Return the mean distance of poses, each clipped at `NEAR_M`, in `MAX_SAMPLED_FRAMES` frames spread over the
+    interval."""
+    stride = max(1, (high - low) // MAX_SAMPLED_FRAMES)
     weights = _weights(shift)
     total, count = 0.0, 0
     for t in range(low, high, stride):

@@ -10,7 +10,7 @@ import numpy as np
 from kinedex.ops.arrays import F64, I64
 from kinedex.ops.errors import ParameterError
 
-_MOST_TRIED = 60_000
+_MAX_TRIED = 60_000
 _ROUNDS = 100
 
 
@@ -44,7 +44,7 @@ def split_groups(sizes: Sequence[float] | F64, shares: Sequence[float] | F64) ->
     if len(amounts) < len(wanted):
         raise ParameterError("groups", f"at least {len(wanted)}, one for each split", len(amounts))
     goal = wanted / wanted.sum() * amounts.sum()
-    if len(wanted) ** len(amounts) <= _MOST_TRIED:
+    if len(wanted) ** len(amounts) <= _MAX_TRIED:
         return _best(amounts, goal)
     return _improved(_greedy(amounts, goal), amounts, goal)
 

@@ -56,7 +56,7 @@ EDGES = (0.0, 0.2, 0.4, 0.6, 0.8, 1.0)
 
 
 @dataclass(frozen=True)
-class Bucket:
+class ConfidenceBin:
     """The segments whose confidence is in [low, high), or in [low, high] for the last bin.
 
     Attributes
@@ -82,7 +82,7 @@ class Bucket:
     interval: tuple[float, float]
 
 
-def reliability(confidences: F64, right: Bool, edges: Sequence[float] = EDGES) -> list[Bucket]:
+def reliability(confidences: F64, right: Bool, edges: Sequence[float] = EDGES) -> list[ConfidenceBin]:
     """Sort segments into bins of confidence, as in a reliability diagram.
 
     Parameters
@@ -95,13 +95,13 @@ def reliability(confidences: F64, right: Bool, edges: Sequence[float] = EDGES) -
         Ascending edges of the buckets.
     """
     _check(confidences, right)
-    places = np.clip(np.searchsorted(np.asarray(edges), confidences, side="right") - 1, 0, len(edges) - 2)
+    positions = np.clip(np.searchsorted(np.asarray(edges), confidences, side="right") - 1, 0, len(edges) - 2)
     found = []
     for place, (low, high) in enumerate(pairwise(edges)):
-        own, truth = confidences[places == place], right[places == place]
+        own, truth = confidences[positions == place], right[positions == place]
         mean, share = (float(one.mean()) if len(own) else float("nan") for one in (own, truth))
         count, hits = len(own), int(truth.sum())
-        found.append(Bucket(low, high, count, hits, mean, share, wilson(hits, count)))
+        found.append(ConfidenceBin(low, high, count, hits, mean, share, wilson(hits, count)))
     return found
 
 

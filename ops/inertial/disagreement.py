@@ -31,10 +31,10 @@ from kinedex.ops.inertial.rotations import (
 TAU_DEG = 45.0
 """The error in degrees above which a frame counts as wrong, as in the thesis."""
 
-LEAST_AUTO_DEG, AUTO_DEVIATIONS, MAD_TO_SIGMA = 15.0, 4.0, 1.4826
+MIN_AUTO_DEG, AUTO_DEVIATIONS, MAD_TO_SIGMA = 15.0, 4.0, 1.4826
 
 
-class Errors(NamedTuple):
+class OrientationErrors(NamedTuple):
     """The errors of a stream's frames, float64 arrays (T,) in degrees; NaN where a quaternion is unknown."""
 
     degrees: F64
@@ -42,7 +42,7 @@ class Errors(NamedTuple):
     twist: F64
 
 
-def errors(sensor: F64, track: F64, q_global: F64, q_mount: F64, axis: F64) -> Errors:
+def frame_errors(sensor: F64, track: F64, q_global: F64, q_mount: F64, axis: F64) -> OrientationErrors:
     """Compute the error of each frame, its swing and its twist (thesis, Eq. 7.16).
 
     Parameters
@@ -82,7 +82,7 @@ def errors(sensor: F64, track: F64, q_global: F64, q_mount: F64, axis: F64) -> E
         np.asarray(axis, np.float64) / length,
         out,
     )
-    return Errors(out[0], out[1], out[2])
+    return OrientationErrors(out[0], out[1], out[2])
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -189,10 +189,10 @@ def auto_tau(streams: Iterable[tuple[F64, Bool]]) -> float:
     parts = [degrees[valid & np.isfinite(degrees)] for degrees, valid in streams]
     values = np.concatenate(parts) if parts else np.empty(0)
     if not len(values):
-        return LEAST_AUTO_DEG
+        return MIN_AUTO_DEG
     median = np.median(values)
     spread = MAD_TO_SIGMA * np.median(np.abs(values - median))
-    return max(LEAST_AUTO_DEG, float(median + AUTO_DEVIATIONS * spread))
+    return max(MIN_AUTO_DEG, float(median + AUTO_DEVIATIONS * spread))
 
 
 @dataclass(frozen=True)
@@ -235,7 +235,7 @@ class Run(NamedTuple):
     mean_deg: float
 
 
-def runs(degrees: F64, valid: Bool, rate_hz: float, rules: RunRules) -> list[Run]:
+def wrong_runs(degrees: F64, valid: Bool, rate_hz: float, rules: RunRules) -> list[Run]:
     """Return the runs of wrong frames: above τ, then extended, gaps closed, and short runs dropped.
 
     Parameters

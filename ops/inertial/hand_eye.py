@@ -32,7 +32,7 @@ SCALE_DEG, FARTHEST_DEG = 6.0, 25.0
 SCALES_DEG = (12.0, 6.0, 6.0, 6.0, 6.0, 6.0, 6.0)
 """The scale s of each reweighted fit: the error at which a frame has a quarter of its weight, w = (s²/(s² + e²))²."""
 
-STILL_DEG, MOST_STEPS = 1e-6, 30
+STILL_DEG, MAX_STEPS = 1e-6, 30
 DRIFT_ROUNDS = 3
 INLIER_DEG = 15.0
 
@@ -442,7 +442,7 @@ def _alternate(units: Sequence[Unit], sums: F64, worlds: F64, mounts: F64, verti
     world_of = np.array([unit.world for unit in units])
     mount_of = np.array([unit.mount for unit in units])
     free = np.array([mount not in held.mounts for mount in range(len(mounts))])
-    for _ in range(MOST_STEPS):
+    for _ in range(MAX_STEPS):
         if held.world is None:
             worlds[:] = _first_eigenvectors(by_mount, mounts[mount_of], world_of, len(worlds), vertical_known)
         found = _first_eigenvectors(by_world, worlds[world_of], mount_of, len(mounts), False)

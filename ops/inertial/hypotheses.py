@@ -1,7 +1,7 @@
 """This module finds robust initial values of a calibration: many hypotheses from few frames each, and the best of them.
 
 A *unit* is the frames of one limb whose sensor has one mount and one inertial world: one sensor in one recording, or in
-several with `shared`. Hypotheses are compared on evenly spread frames, at most `MOST_FRAMES` of each unit.
+several with `shared`. Hypotheses are compared on evenly spread frames, at most `MAX_FRAMES` of each unit.
 """
 
 from __future__ import annotations
@@ -27,8 +27,8 @@ from kinedex.ops.inertial.rotations import (
     row,
 )
 
-MOST_FRAMES, TRIPLES = 300, 300
-LEAST_CROSS = 0.02
+MAX_FRAMES, TRIPLES = 300, 300
+MIN_CROSS = 0.02
 """Length of the cross product of two rotation vectors above which their axes count as different."""
 
 BEST = 5
@@ -61,11 +61,11 @@ class Unit(NamedTuple):
     world: int
 
     def spread(self) -> Unit:
-        """Return the unit with at most `MOST_FRAMES` frames, spread evenly."""
+        """Return the unit with at most `MAX_FRAMES` frames, spread evenly."""
         count = len(self.sensor)
-        if count <= MOST_FRAMES:
+        if count <= MAX_FRAMES:
             return self
-        frames = np.linspace(0, count - 1, MOST_FRAMES).astype(np.int64)
+        frames = np.linspace(0, count - 1, MAX_FRAMES).astype(np.int64)
         return self._replace(sensor=self.sensor[frames], track=self.track[frames])
 
 
@@ -97,7 +97,7 @@ def world_guesses(unit: Unit, vertical_known: bool, seed: int) -> F64:
     """
     s, t, u = np.random.default_rng(seed).integers(0, len(unit.sensor), (3, TRIPLES))
     own, other = _turns(unit.sensor, s, t, u), _turns(unit.track, s, t, u)
-    apart = np.linalg.norm(np.cross(other[0], other[1]), axis=1) >= LEAST_CROSS
+    apart = np.linalg.norm(np.cross(other[0], other[1]), axis=1) >= MIN_CROSS
     guesses = np.empty((0, 4))
     if apart.any():
         s = s[apart]
@@ -110,8 +110,8 @@ def world_guesses(unit: Unit, vertical_known: bool, seed: int) -> F64:
         _pair_costs(unit.sensor, unit.track, worlds, mounts, costs)
         guesses = worlds[np.argsort(costs, kind="stable")[:BEST]]
     if vertical_known:
-        turns = exp(np.arange(72)[:, None] * np.array([0.0, 0.0, math.radians(5.0)]))
-        guesses = np.concatenate([guesses, multiply(Z_TO_Y, turns)])
+        rotations = exp(np.arange(72)[:, None] * np.array([0.0, 0.0, math.radians(5.0)]))
+        guesses = np.concatenate([guesses, multiply(Z_TO_Y, rotations)])
     return guesses
 
 

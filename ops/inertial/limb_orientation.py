@@ -17,11 +17,11 @@ from kinedex.ops.inertial.rotations import conjugate, distance_deg, from_matrix,
 
 FULL, HINGE, NONE = "full", "hinge", "none"
 
-LEAST_SPREAD_M = 0.02
+MIN_SPREAD_M = 0.02
 """Second singular value in metres below which markers are nearly collinear and leave one rotation undetermined.
 """
 
-LEAST_BEND_DEG = 15.0
+MIN_BEND_DEG = 15.0
 """Angle in degrees below which the bend of a hinge does not determine its plane."""
 
 FASTEST_DEG_S = 2500.0
@@ -80,37 +80,37 @@ def segment_orientation(markers: F64) -> SegmentFit:
     first = markers[int(np.argmax(whole))]
     shape: F64 = first - first.mean(axis=0)
     usable = seen.sum(axis=1) >= 3
-    places = np.where(seen[..., None], markers, 0.0)
+    positions = np.where(seen[..., None], markers, 0.0)
     for _ in range(SHAPE_ROUNDS):
-        turned, middle, centre = _aligned(shape, places[usable], seen[usable])
-        back = np.einsum("tab,tma->tmb", turned, places[usable] - middle[:, None]) + centre[:, None]
+        turned, middle, centre = _aligned(shape, positions[usable], seen[usable])
+        back = np.einsum("tab,tma->tmb", turned, positions[usable] - middle[:, None]) + centre[:, None]
         back[~seen[usable]] = np.nan
         shape = np.nanmedian(back, axis=0)
         shape = shape - shape.mean(axis=0)
     spread = _spread(shape)
-    if spread < LEAST_SPREAD_M:
+    if spread < MIN_SPREAD_M:
         raise ParameterError(
             "markers",
-            f"off one line by {1000 * LEAST_SPREAD_M:.0f} mm or more (second singular value)",
+            f"off one line by {1000 * MIN_SPREAD_M:.0f} mm or more (second singular value)",
             f"{1000 * spread:.1f} mm",
         )
     valid = usable & _fixes(shape, seen)
     orientation, rms = np.full((len(markers), 4), np.nan), np.full(len(markers), np.nan)
     if valid.any():
-        turned, middle, centre = _aligned(shape, places[valid], seen[valid])
+        turned, middle, centre = _aligned(shape, positions[valid], seen[valid])
         orientation[valid] = from_matrix(turned)
         fitted = np.einsum("tab,tmb->tma", turned, shape - centre[:, None]) + middle[:, None]
-        off = np.where(seen[valid], np.square(fitted - places[valid]).sum(axis=2), 0.0)
+        off = np.where(seen[valid], np.square(fitted - positions[valid]).sum(axis=2), 0.0)
         rms[valid] = np.sqrt(off.sum(axis=1) / seen[valid].sum(axis=1))
     return SegmentFit(orientation, valid, rms, shape, spread)
 
 
-def _aligned(shape: F64, places: F64, seen: Bool) -> tuple[F64, F64, F64]:
+def _aligned(shape: F64, positions: F64, seen: Bool) -> tuple[F64, F64, F64]:
     """Return the rotations (T, 3, 3) from a shape to frames, and the centres of the visible markers in both."""
     count = seen.sum(axis=1)[:, None]
-    middle = (places * seen[..., None]).sum(axis=1) / count
+    middle = (positions * seen[..., None]).sum(axis=1) / count
     centre = np.einsum("tm,ma->ta", seen.astype(np.float64), shape) / count
-    apart = (places - middle[:, None]) * seen[..., None]
+    apart = (positions - middle[:, None]) * seen[..., None]
     covariance = np.einsum("tma,tmb->tab", apart, shape - centre[:, None])
     left, _, right = np.linalg.svd(covariance)
     left[:, :, 2] *= np.sign(np.linalg.det(left @ right))[:, None]
@@ -125,7 +125,7 @@ def _spread(shape: F64) -> float:
 def _fixes(shape: F64, seen: Bool) -> Bool:
     """Return a mask of the frames whose visible markers are not collinear, so that they determine the rotation."""
     patterns, of = np.unique(seen, axis=0, return_inverse=True)
-    good = np.array([one.sum() >= 3 and _spread(shape[one]) >= LEAST_SPREAD_M for one in patterns])
+    good = np.array([one.sum() >= 3 and _spread(shape[one]) >= MIN_SPREAD_M for one in patterns])
     return good[of.reshape(-1)]
 
 
@@ -169,7 +169,7 @@ def hinge_orientation(near: F64, far: F64, bend: F64, beyond: bool) -> tuple[F64
     sine = np.linalg.norm(normal, axis=1)
     cosine = np.einsum("ta,ta->t", axis, other)
     with np.errstate(invalid="ignore"):
-        good = np.arctan2(sine, cosine) >= np.deg2rad(LEAST_BEND_DEG)
+        good = np.arctan2(sine, cosine) >= np.deg2rad(MIN_BEND_DEG)
         good &= sine > 1e-6  # a limb folded onto itself does not determine a plane
         normal = normal / np.where(sine > 0, sine, 1.0)[:, None]
     valid = np.isfinite(axis).all(axis=1) & good.any()

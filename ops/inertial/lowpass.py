@@ -13,11 +13,11 @@ from numba import njit
 from kinedex.ops.arrays import F64
 from kinedex.ops.errors import ParameterError
 
-LEAST_PADDING = 9
+MIN_PADDING = 9
 """Default number of values by which both ends are extended, by odd (point) reflection."""
 
 
-def lowpass(values: F64, rate_hz: float, cutoff_hz: float, padding: int = LEAST_PADDING) -> F64:
+def lowpass(values: F64, rate_hz: float, cutoff_hz: float, padding: int = MIN_PADDING) -> F64:
     """Return values filtered by a zero-phase low-pass.
 
     Parameters

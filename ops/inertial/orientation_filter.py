@@ -26,7 +26,7 @@ LIKELY = 4.0
 """Length of an offset in standard deviations from which the magnetometer counts as uncalibrated, and the prior widens.
 """
 
-LEAST_CORRELATED_S = 1.0
+MIN_CORRELATED_S = 1.0
 """Minimum time in seconds over which residuals are taken to be correlated."""
 
 ROUNDS = 6
@@ -76,20 +76,20 @@ def field_offset(rate_hz: float, orientation: F64, mag: F64) -> F64:
     each = max(1, round(BLOCK_S * rate_hz))
     if len(mag) < 2 * each:
         return offset
-    fields, turns = _blocks(orientation, mag, each)
+    fields, rotations = _blocks(orientation, mag, each)
     step_s = each / rate_hz
     prior = (PRIOR * float(np.median(np.linalg.norm(fields, axis=1)))) ** 2
     if not prior > 0.0:
         return offset
-    offset, residuals = _fit(fields, turns, np.ones(len(fields)), 1e-6 * len(fields))
-    correlated_s = LEAST_CORRELATED_S
+    offset, residuals = _fit(fields, rotations, np.ones(len(fields)), 1e-6 * len(fields))
+    correlated_s = MIN_CORRELATED_S
     for _ in range(ROUNDS):
         squares = np.einsum("ka,ka->k", residuals, residuals)
         variance = max(float(np.median(squares)) / _MEDIAN_SQUARE, 1e-12 * prior)
         weights = (1.0 + squares / (3.0 * OUTLIER**2 * variance)) ** -2
         correlated_s = max(correlated_s, step_s * _correlated(np.sqrt(weights)[:, None] * residuals))
         widened = max(prior, float(offset @ offset) / LIKELY**2)
-        offset, residuals = _fit(fields, turns, weights, variance * correlated_s / (step_s * widened))
+        offset, residuals = _fit(fields, rotations, weights, variance * correlated_s / (step_s * widened))
     return offset
 
 
@@ -113,11 +113,11 @@ def _correlated(residuals: F64) -> float:
     return 1.0 + 2.0 * float(products[1:stop].sum()) / float(products[0])
 
 
-def _fit(fields: F64, turns: F64, weights: F64, stiffness: float) -> tuple[F64, F64]:
+def _fit(fields: F64, rotations: F64, weights: F64, stiffness: float) -> tuple[F64, F64]:
     """Fit field and offset by weighted least squares, and return the offset and the residuals."""
     total = weights.sum()
-    mean_field, mean_turn = np.tensordot(weights, fields, 1) / total, np.tensordot(weights, turns, 1) / total
-    y, x = fields - mean_field, turns - mean_turn
+    mean_field, mean_turn = np.tensordot(weights, fields, 1) / total, np.tensordot(weights, rotations, 1) / total
+    y, x = fields - mean_field, rotations - mean_turn
     normal = np.einsum("k,kai,kaj->ij", weights, x, x) + stiffness * np.eye(3)
     offset = np.linalg.solve(normal, np.einsum("k,kai,ka->i", weights, x, y))
     return offset, y - x @ offset

@@ -77,8 +77,8 @@ def _between(gyr: F64) -> F64:
 
 
 def _rates(times: F64, quaternions: F64) -> F64:
-    turns = log(multiply(conjugate(quaternions[:-1]), quaternions[1:]))
-    rates: F64 = turns / np.diff(times)[:, None]
+    rotations = log(multiply(conjugate(quaternions[:-1]), quaternions[1:]))
+    rates: F64 = rotations / np.diff(times)[:, None]
     return rates
 
 

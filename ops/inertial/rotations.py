@@ -187,10 +187,10 @@ def angular_speed(times: F64, quaternions: F64) -> tuple[F64, F64]:
     tuple[float64 array (T − 1,), float64 array (T − 1,)]
         The midpoint times between frames, and radians per second; NaN next to an unknown frame.
     """
-    turns = log(multiply(conjugate(quaternions[:-1]), quaternions[1:]))
+    rotations = log(multiply(conjugate(quaternions[:-1]), quaternions[1:]))
     steps = np.diff(times)
     speeds = np.full(len(steps), np.nan)
-    np.divide(np.sqrt(np.einsum("ta,ta->t", turns, turns)), steps, out=speeds, where=steps > 0.0)
+    np.divide(np.sqrt(np.einsum("ta,ta->t", rotations, rotations)), steps, out=speeds, where=steps > 0.0)
     return 0.5 * (times[1:] + times[:-1]), speeds
 
 

@@ -31,7 +31,7 @@ FIELD_UT, INCLINATION_DEG = 48.255, 64.883
 CUTOFF_HZ = 15.0
 """Frequency in Hz at which positions and rotations of takes are smoothed before they are differentiated."""
 
-LEAST_SAMPLES = 8
+MIN_SAMPLES = 8
 """The smallest number of samples for a quintic spline and a filter."""
 
 SOFT_TISSUE_HZ = 3.0
@@ -59,7 +59,7 @@ class SensorMotion:
     acceleration: F64
 
 
-def world_turn(heading_deg: float) -> F64:
+def world_rotation(heading_deg: float) -> F64:
     """Return q_G, the rotation (4,) from F_GI to a take's world with Y up, for a heading about the vertical."""
     return multiply(Z_TO_Y, exp(np.array([0.0, 0.0, np.radians(heading_deg)])))
 
@@ -128,9 +128,9 @@ def sensor_motion(
     MissingPackageError
         The package scipy is not installed.
     """
-    if len(times) < LEAST_SAMPLES or position.shape != (len(times), 3) or orientation.shape != (len(times), 4):
+    if len(times) < MIN_SAMPLES or position.shape != (len(times), 3) or orientation.shape != (len(times), 4):
         raise ParameterError(
-            "times, position, orientation", f"of {LEAST_SAMPLES} frames or more, (T,), (T, 3) and (T, 4)",
+            "times, position, orientation", f"of {MIN_SAMPLES} frames or more, (T,), (T, 3) and (T, 4)",
             (times.shape, position.shape, orientation.shape),
         )  # fmt: skip
     if not (np.isfinite(position).all() and np.isfinite(orientation).all()):
@@ -145,11 +145,11 @@ def sensor_motion(
     spline = _scipy("interpolate").make_interp_spline(times, place, k=5)
     acceleration = np.asarray(spline.derivative(2)(inside), np.float64)
     back = conjugate(q_global)
-    whole = multiply(back, multiply(_interpolated_turns(times, turned, inside), q_mount))
+    whole = multiply(back, multiply(_interpolated_rotations(times, turned, inside), q_mount))
     return SensorMotion((len(at) - 1) / (at[-1] - at[0]), continuous(whole), rotate(back, acceleration))
 
 
-def _interpolated_turns(times: F64, turned: F64, at: F64) -> F64:
+def _interpolated_rotations(times: F64, turned: F64, at: F64) -> F64:
     """Return rotations (N, 4) w x y z, interpolated by a spline with continuous angular accelerations."""
     transform = _scipy("spatial.transform")
     spline = transform.RotationSpline(times, transform.Rotation.from_quat(turned[:, [1, 2, 3, 0]]))
@@ -161,13 +161,13 @@ def smooth(values: F64, rate_hz: float, cutoff_hz: float) -> F64:
 
     Values are returned unchanged if the rate is not above twice the frequency, or if there are fewer than 8.
     """
-    if cutoff_hz >= 0.5 * rate_hz or len(values) < LEAST_SAMPLES:
+    if cutoff_hz >= 0.5 * rate_hz or len(values) < MIN_SAMPLES:
         return values
     padding = min(len(values) - 1, int(np.ceil(3 * rate_hz / cutoff_hz)))
     return lowpass(values, rate_hz, cutoff_hz, padding)
 
 
-def turn_rates(orientation: F64, rate_hz: float) -> F64:
+def gyroscope_rates(orientation: F64, rate_hz: float) -> F64:
     """Return a gyroscope's readings: the rotation since the previous sample over the time step, in sensor axes.
 
     Integrating the rates reproduces the orientations; with central differences, a filter would be half a sample ahead.
@@ -313,7 +313,7 @@ class Clock:
         return (seconds - self.offset_s) / (1.0 + 1e-6 * self.ppm)
 
 
-def generator(seed: int, *names: str) -> np.random.Generator:
+def seeded_generator(seed: int, *names: str) -> np.random.Generator:
     """Return a random generator that is seeded by a number and names, such as a take's and a sensor's."""
     if seed < 0:
         raise ParameterError("seed", "at least 0", seed)
@@ -350,13 +350,13 @@ def measured(motion: SensorMotion, grade: Grade, field_ut: F64, random: np.rando
     parts = random.spawn(6)
     count, rate_hz = len(motion.orientation), motion.rate_hz
     orientation = multiply(motion.orientation, soft_tissue(count, rate_hz, grade.soft_tissue_deg, parts[0]))
-    around = field_ut + magnets(count, rate_hz, grade, parts[1])
+    around = field_ut + magnet_fields(count, rate_hz, grade, parts[1])
     ideal = {
         "acc": specific_force(orientation, motion.acceleration),
-        "gyr": turn_rates(orientation, rate_hz),
+        "gyr": gyroscope_rates(orientation, rate_hz),
         "mag": field_in_sensor(orientation, around),
     }
-    lost = gaps(count, rate_hz, grade, parts[2])
+    lost = missing_samples(count, rate_hz, grade, parts[2])
     clipped = np.zeros(count, np.bool_)
     read = {}
     for channel, own in zip(CHANNELS, parts[3:], strict=True):
@@ -411,7 +411,7 @@ def smooth_noise(count: int, rate_hz: float, cutoff_hz: float, random: np.random
     return curves[ahead : ahead + count]
 
 
-def magnets(count: int, rate_hz: float, grade: Grade, random: np.random.Generator) -> F64:
+def magnet_fields(count: int, rate_hz: float, grade: Grade, random: np.random.Generator) -> F64:
     """Return the fields (N, 3) in µT of passing magnets in F_GI, as bell curves in random directions."""
     fields = np.zeros((count, 3))
     if not (grade.magnets_per_minute and grade.magnet_ut and grade.magnet_s):
@@ -425,7 +425,7 @@ def magnets(count: int, rate_hz: float, grade: Grade, random: np.random.Generato
     return fields
 
 
-def gaps(count: int, rate_hz: float, grade: Grade, random: np.random.Generator) -> Bool:
+def missing_samples(count: int, rate_hz: float, grade: Grade, random: np.random.Generator) -> Bool:
     """Return a mask (N,) of the lost samples; the lengths of gaps are uniform up to the longest one."""
     lost = np.zeros(count, np.bool_)
     if grade.gaps_per_minute and grade.gap_s:

@@ -16,20 +16,20 @@ from numba import njit
 
 from kinedex.ops.arrays import F64, I64
 from kinedex.ops.errors import ParameterError
-from kinedex.ops.inertial.lowpass import LEAST_PADDING, lowpass
+from kinedex.ops.inertial.lowpass import MIN_PADDING, lowpass
 from kinedex.ops.inertial.rotations import LONGEST_GAP_S, angle, angular_speed, inverse_product
 
 RATE_HZ, CUTOFF_HZ = 200.0, 5.0
 CLIP_PERCENTILE = 99.0
-LEAST_OVERLAP_S, OVERLAP_SHARE, VARIANCE_SHARE = 3.0, 0.5, 0.1
-LEAST_CORRELATION, RIVAL_S, RIVAL_SHARE = 0.3, 0.25, 0.95
+MIN_OVERLAP_S, OVERLAP_SHARE, VARIANCE_SHARE = 3.0, 0.5, 0.1
+MIN_CORRELATION, RIVAL_S, RIVAL_SHARE = 0.3, 0.25, 0.95
 
 CLIP_DEG = 10.0
 """Error in degrees at which errors are clipped in the fine search."""
 
 COARSE_S, COARSE_STEP_S, FINE_S, FINE_STEP_S = 0.1, 0.01, 0.01, 0.001
 WINDOW_S, WINDOW_STEP_S = 30.0, 15.0
-MOST_FRAMES = 20_000
+MAX_FRAMES = 20_000
 """Maximum number of frames of each limb, evenly spread, that the fine search compares."""
 
 _STILL = 1e-12  # a sum of squares in (rad/s)² below which there is no motion
@@ -73,7 +73,7 @@ class TimeOffset(NamedTuple):
     refused: str
 
 
-class Fine(NamedTuple):
+class FineSearch(NamedTuple):
     """Predicted and measured orientations of one limb's sensor, for the errors at any offset in the fine search.
 
     Attributes
@@ -118,7 +118,7 @@ def sensor_speed(times: F64, gyr: F64 | None, orientation: F64 | None) -> tuple[
     return angular_speed(times, orientation)
 
 
-def find(limbs: Sequence[Speeds], longest_s: float | None = None) -> TimeOffset:
+def find_offset(limbs: Sequence[Speeds], longest_s: float | None = None) -> TimeOffset:
     """Find the offset that maximises the joint correlation of the angular speeds of all limbs.
 
     Parameters
@@ -178,7 +178,7 @@ def _filtered(times: F64, speeds: F64, highest: float) -> tuple[int, F64]:
     times, speeds = times[known], np.minimum(speeds[known], highest)
     start, stop = math.ceil(times[0] * RATE_HZ), math.floor(times[-1] * RATE_HZ)
     grid = np.interp(np.arange(start, stop + 1) / RATE_HZ, times, speeds)
-    if len(grid) <= LEAST_PADDING:  # shorter than any admissible overlap
+    if len(grid) <= MIN_PADDING:  # shorter than any admissible overlap
         return start, np.empty(0)
     return start, lowpass(grid, RATE_HZ, CUTOFF_HZ)
 
@@ -211,7 +211,7 @@ def correlation(take: F64, sensor: F64) -> F64:
     spread_take = square_take - sum_take**2 / overlap
     spread_sensor = square_sensor - sum_sensor**2 / overlap
     whole_take, whole_sensor = float(take @ take), float(sensor @ sensor)
-    least = max(LEAST_OVERLAP_S * RATE_HZ, OVERLAP_SHARE * min(count, other))
+    least = max(MIN_OVERLAP_S * RATE_HZ, OVERLAP_SHARE * min(count, other))
     counts = (
         (overlap >= least)
         & (spread_take >= max(VARIANCE_SHARE * whole_take, _STILL))
@@ -255,9 +255,9 @@ def _peak(lags: F64, curve: F64) -> TimeOffset:
     if rival <= -1.0:
         rival = math.nan
     refused = ""
-    if top < LEAST_CORRELATION:
+    if top < MIN_CORRELATION:
         refused = (
-            f"angular speeds correlate by {top:.2f} only, {LEAST_CORRELATION} is needed: "
+            f"angular speeds correlate by {top:.2f} only, {MIN_CORRELATION} is needed: "
             "is it the recording of this take, and each sensor on its limb? `offset_s: <seconds>` sets the offset"
         )
     elif rival > RIVAL_SHARE * top:
@@ -278,7 +278,7 @@ def _vertex(curve: F64, best: int) -> float:
     return 0.0 if bend == 0.0 else max(-0.5, min(0.5, 0.5 * (before - after) / bend))
 
 
-def refine(limbs: Sequence[Fine], offset_s: float, ppm: float = 0.0) -> float:
+def refine_offset(limbs: Sequence[FineSearch], offset_s: float, ppm: float = 0.0) -> float:
     """Refine an offset: find the smallest orientation errors within 0.1 s, to fractions of a millisecond.
 
     Parameters
@@ -296,7 +296,7 @@ def refine(limbs: Sequence[Fine], offset_s: float, ppm: float = 0.0) -> float:
         The offset in seconds; the first one where no frame is known.
     """
     limbs = [limb for limb in limbs if len(limb.predicted)]
-    spread = [_spread(limb, MOST_FRAMES) for limb in limbs]
+    spread = [_spread(limb, MAX_FRAMES) for limb in limbs]
 
     def cost(offset: float) -> float:
         parts = [_clipped_cost(*limb, offset, ppm, LONGEST_GAP_S) for limb in spread]
@@ -320,10 +320,10 @@ def _least(cost: Callable[[float], float], middle: float, reach: float, step: fl
     return float(offsets[best]) + (step * _vertex(-costs, best) if np.isfinite(costs).all() else 0.0)
 
 
-def _spread(limb: Fine, most: int) -> Fine:
+def _spread(limb: FineSearch, most: int) -> FineSearch:
     """Return a limb with at most `most` frames, spread evenly, as contiguous arrays for the kernel."""
     frames = np.linspace(0, len(limb.take_times) - 1, min(len(limb.take_times), most)).astype(np.int64)
-    return Fine(
+    return FineSearch(
         limb.take_times[frames],
         limb.predicted[frames],
         np.array(limb.sensor_times, np.float64),
@@ -331,7 +331,7 @@ def _spread(limb: Fine, most: int) -> Fine:
     )
 
 
-def find_drift(limbs: Sequence[Fine], offset_s: float) -> tuple[float, float]:
+def find_drift(limbs: Sequence[FineSearch], offset_s: float) -> tuple[float, float]:
     """Find the offset and drift of a clock by a robust line through the offsets of the fine search in windows.
 
     Parameters
@@ -354,14 +354,14 @@ def find_drift(limbs: Sequence[Fine], offset_s: float) -> tuple[float, float]:
         frames = [limb.take_times for limb in window if len(limb.take_times)]
         if frames:
             middles.append(float(np.mean(np.concatenate(frames))))
-            offsets.append(refine(window, offset_s))
+            offsets.append(refine_offset(window, offset_s))
     if len(middles) < 2:
-        return refine(limbs, offset_s), 0.0
+        return refine_offset(limbs, offset_s), 0.0
     slope, at_zero = _robust_line(np.array(middles), np.array(offsets))
     return at_zero, 1e6 * slope
 
 
-def _window(limb: Fine, start: float, stop: float) -> Fine:
+def _window(limb: FineSearch, start: float, stop: float) -> FineSearch:
     first, last = np.searchsorted(limb.take_times, [start, stop]).tolist()
     return limb._replace(take_times=limb.take_times[first:last], predicted=limb.predicted[first:last])
 

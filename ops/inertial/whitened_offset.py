@@ -19,7 +19,7 @@ import numpy as np
 
 from kinedex.ops.arrays import F64, I64
 from kinedex.ops.inertial.rotations import conjugate, exp, interpolate, log, multiply, rotate
-from kinedex.ops.inertial.time_offset import Fine
+from kinedex.ops.inertial.time_offset import FineSearch
 
 ORDER = 5
 """The order of the autoregressive noise model, in frames."""
@@ -37,7 +37,7 @@ FARTHEST_S, STILL_S = 0.02, 2e-5
 """Change of the offset in seconds beyond which the result is discarded, and below which the search ends."""
 
 ROUNDS, WEIGHTINGS = 4, 6
-MOST_FRAMES, BLOCK = 6_000, 300
+MAX_FRAMES, BLOCK = 6_000, 300
 """Maximum number of frames of each limb that are compared, and the length of the evenly spread blocks that they come
 in.
 """
@@ -55,7 +55,7 @@ class _Rows(NamedTuple):
 
 
 def whitened_offset(
-    limbs: Sequence[Fine], offset_s: float, ppm: float = 0.0, drifts: bool = False
+    limbs: Sequence[FineSearch], offset_s: float, ppm: float = 0.0, drifts: bool = False
 ) -> tuple[float, float]:
     """Improve offset and drift of a clock by weighted least squares on whitened orientation errors.
 
@@ -96,23 +96,23 @@ def whitened_offset(
     return offset, drift
 
 
-def _improved(limb: Fine, turns: F64) -> Fine:
+def _improved(limb: FineSearch, rotations: F64) -> FineSearch:
     """Return a limb with its heading and mount corrected by the solution."""
-    heading = exp(np.array([0.0, 0.0, turns[0]]))
-    return limb._replace(predicted=multiply(multiply(heading, limb.predicted), exp(turns[1:])))
+    heading = exp(np.array([0.0, 0.0, rotations[0]]))
+    return limb._replace(predicted=multiply(multiply(heading, limb.predicted), exp(rotations[1:])))
 
 
-def _blocks(limb: Fine) -> Fine:
+def _blocks(limb: FineSearch) -> FineSearch:
     """Return a limb reduced to evenly spread blocks of its frames, if it has too many."""
     count = len(limb.take_times)
-    if count <= MOST_FRAMES:
+    if count <= MAX_FRAMES:
         return limb
-    starts = np.linspace(0, count - BLOCK, MOST_FRAMES // BLOCK).astype(np.int64)
+    starts = np.linspace(0, count - BLOCK, MAX_FRAMES // BLOCK).astype(np.int64)
     frames = (starts[:, None] + np.arange(BLOCK)).reshape(-1)
     return limb._replace(take_times=limb.take_times[frames], predicted=limb.predicted[frames])
 
 
-def _rows(limb: Fine, offset_s: float, ppm: float, drifts: bool) -> _Rows | None:
+def _rows(limb: FineSearch, offset_s: float, ppm: float, drifts: bool) -> _Rows | None:
     """Return the least squares rows of a limb without wrong frames; None if too few frames are consecutive."""
     at = limb.take_times * (1.0 + 1e-6 * ppm) + offset_s
     read, known = interpolate(limb.sensor_times, limb.sensor, at)

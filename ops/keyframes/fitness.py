@@ -19,7 +19,7 @@ from numba import njit
 
 from kinedex.ops.arrays import I64, U64, Bool
 from kinedex.ops.errors import ParameterError
-from kinedex.ops.words import MOST_FEATURES, NO_WORD
+from kinedex.ops.words import MAX_FEATURES, NO_WORD
 
 _LANE = 64
 CACHED_BITMAPS = 256
@@ -76,8 +76,8 @@ def training_frames(clips: Sequence[U64], features: int, steady: Sequence[int] |
     ParameterError
         If there is no clip, a clip is empty, or the number of features is out of its domain.
     """
-    if not 1 <= features <= MOST_FEATURES:
-        raise ParameterError("features", f"between 1 and {MOST_FEATURES}", features)
+    if not 1 <= features <= MAX_FEATURES:
+        raise ParameterError("features", f"between 1 and {MAX_FEATURES}", features)
     if not clips or any(not len(clip) for clip in clips):
         raise ParameterError("clips", "one or more, each with one frame at least", [len(clip) for clip in clips])
     if steady is not None and (len(steady) != len(clips) or min(steady) < 0):

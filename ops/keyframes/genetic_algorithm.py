@@ -25,7 +25,7 @@ from kinedex.ops.keyframes.genetic_operators import (
 )
 from kinedex.ops.keyframes.training_task import (
     HISTORY_COLUMNS,
-    MOST_KEYFRAMES,
+    MAX_KEYFRAMES,
     OFFSPRING,
     PARENTS,
     EvolutionSettings,
@@ -56,9 +56,9 @@ def evolve(task: TrainingTask, settings: EvolutionSettings, seed: int | tuple[in
         The individual of the last generation that ranks highest; of equal ones the oldest. Parents are selected by
         fitness, and those that rank highest survive; without costs both are the same, as in the thesis.
     """
-    population = new_population(settings.population + OFFSPRING, MOST_KEYFRAMES)
+    population = new_population(settings.population + OFFSPRING, MAX_KEYFRAMES)
     history = np.zeros((settings.generations + 1, len(HISTORY_COLUMNS)))
-    space = new_workspace(task.frames, MOST_KEYFRAMES)
+    space = new_workspace(task.frames, MAX_KEYFRAMES)
     sizes = (settings.population, PARENTS, settings.generations)
     operators = OperatorSettings(least=settings.least_keyframes, open_share=float(settings.open_share))
     best, evaluated = _evolve(
@@ -101,7 +101,7 @@ def tune_gaps(
     -------
     LearningRun
     """
-    most = max(MOST_KEYFRAMES, len(query))
+    most = max(MAX_KEYFRAMES, len(query))
     population = new_population(2, most)
     _set_row(population, 0, query)
     history = np.zeros((settings.generations + 1, len(HISTORY_COLUMNS)))

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from kinedex.ops.keyframes.genetic_algorithm import evaluate
-from kinedex.ops.keyframes.training_task import MOST_KEYFRAMES, EvolutionSettings, Individual, LearningRun, TrainingTask
+from kinedex.ops.keyframes.training_task import MAX_KEYFRAMES, EvolutionSettings, Individual, LearningRun, TrainingTask
 
 TOLERANCES = (0.5, 1.0)
 """Tolerances by which a new gap may be shorter or longer, relative to the spacing of columns."""
@@ -15,7 +15,7 @@ def forward_selection(task: TrainingTask, settings: EvolutionSettings) -> Learni
     """Learn a query by greedy forward selection of template columns, using the rank of the genetic algorithm.
 
     The first column is the one that ranks highest alone. Then the column that raises the rank most is added, with gaps
-    to its neighbours of one of the `TOLERANCES`, until none raises it or there are `MOST_KEYFRAMES`. Ties go to the
+    to its neighbours of one of the `TOLERANCES`, until none raises it or there are `MAX_KEYFRAMES`. Ties go to the
     leftmost column. The result is deterministic.
 
     Parameters
@@ -35,7 +35,7 @@ def forward_selection(task: TrainingTask, settings: EvolutionSettings) -> Learni
     best = max(single, key=lambda one: one.rank)
     evaluated = len(columns)
     trace = [best.history_row()]
-    while len(best.columns) < min(MOST_KEYFRAMES, len(columns)):
+    while len(best.columns) < min(MAX_KEYFRAMES, len(columns)):
         longer = [
             best.with_column(column, tolerance)
             for column in columns

@@ -20,7 +20,7 @@ PARENTS = 5
 OFFSPRING = PARENTS * (PARENTS - 1) // 2
 """The number of offspring of a generation, one for each pair of parents."""
 
-MOST_KEYFRAMES = 12
+MAX_KEYFRAMES = 12
 """The largest number of keyframes of any individual, which the thesis does not limit."""
 
 HISTORY_COLUMNS = ("precision", "recall", "fitness", "best")

@@ -22,7 +22,7 @@ import numpy as np
 from kinedex.ops.arrays import F32, F64, I64, Bool
 from kinedex.ops.packages import extra_package
 
-MOST = 5_000
+MAX_POINTS = 5_000
 """Maximum number of points that t-SNE lays out; each of the others is put beside the most similar of these."""
 
 PERPLEXITY = 30.0
@@ -31,7 +31,7 @@ ITERATIONS = 1_000
 PURPOSE = "a map of an archive needs"
 """The beginning of the error message if scikit-learn is missing."""
 
-_LEAST = 5
+_MIN_POINTS = 5
 """Number of points below which principal components are used instead of t-SNE."""
 
 _GOLDEN = math.pi * (3 - math.sqrt(5))
@@ -39,8 +39,8 @@ _GOLDEN = math.pi * (3 - math.sqrt(5))
 Progress = Callable[[int, int], None]
 """A callback that is called with the steps done and the steps in total."""
 
-SHARE, LEAST = 160, 8
-"""A cluster has at least 1 / `SHARE` of the points, and at least `LEAST` (`python -m studies.archive_map`)."""
+SHARE, MIN_POINTS = 160, 8
+"""A cluster has at least 1 / `SHARE` of the points, and at least `MIN_POINTS` (`python -m studies.archive_map`)."""
 
 NO_CLUSTER = -1
 
@@ -51,7 +51,7 @@ class Layout:
 
     Attributes
     ----------
-    places : float32 array (P, 2)
+    positions : float32 array (P, 2)
         Two coordinates without unit, from −1 to 1.
     chosen : int64 array (C,)
         The points that were laid out, ascending: all of them, or a random choice.
@@ -59,12 +59,12 @@ class Layout:
         For each point the index in `chosen` of the point itself, or of the most similar chosen point.
     """
 
-    places: F32
+    positions: F32
     chosen: I64
     nearest: I64
 
 
-def map_layout(numbers: F64, *, most: int = MOST, seed: int = 0, progress: Progress | None = None) -> Layout:
+def map_layout(numbers: F64, *, most: int = MAX_POINTS, seed: int = 0, progress: Progress | None = None) -> Layout:
     """Lay out points, such that points with similar numbers are close together.
 
     The same numbers have the same layout in every run on the same machine. Of more than `most` points a random choice
@@ -108,7 +108,7 @@ def map_layout(numbers: F64, *, most: int = MOST, seed: int = 0, progress: Progr
 def _laid_out(numbers: F64, seed: int, progress: Progress | None) -> F64:
     """Return two coordinates of each point by t-SNE, or by principal components if there are few points."""
     manifold = extra_package("sklearn.manifold", "scikit-learn", PURPOSE, "map")
-    if len(numbers) < _LEAST or not np.ptp(numbers, axis=0).any():
+    if len(numbers) < _MIN_POINTS or not np.ptp(numbers, axis=0).any():
         return _principal(numbers)
     made = manifold.TSNE(
         perplexity=min(PERPLEXITY, (len(numbers) - 1) / 3),
@@ -154,17 +154,17 @@ def _nearest(numbers: F64, chosen: I64) -> I64:
     return found
 
 
-def _apart(places: F64, chosen: I64) -> F64:
+def _apart(positions: F64, chosen: I64) -> F64:
     """Spread points with equal positions on a small spiral, so that each can be seen and pointed at."""
-    order = np.ones(len(places), np.int64)
+    order = np.ones(len(positions), np.int64)
     order[chosen] = 0  # points that were laid out keep their positions
-    keys = np.round(places, 9)
+    keys = np.round(positions, 9)
     by_place = np.lexsort((order, keys[:, 1], keys[:, 0]))
     same = (np.diff(keys[by_place], axis=0) == 0).all(axis=1)
-    starts = np.flatnonzero(np.concatenate([[True], ~same])) if len(places) else np.empty(0, np.int64)
-    number = np.arange(len(places)) - np.repeat(starts, np.diff(np.append(starts, len(places))))
+    starts = np.flatnonzero(np.concatenate([[True], ~same])) if len(positions) else np.empty(0, np.int64)
+    number = np.arange(len(positions)) - np.repeat(starts, np.diff(np.append(starts, len(positions))))
     turn, radius = number * _GOLDEN, 0.003 * np.sqrt(number)
-    found = places.copy()
+    found = positions.copy()
     found[by_place] += np.stack([radius * np.cos(turn), radius * np.sin(turn)], axis=1)
     return found
 
@@ -197,7 +197,7 @@ def map_clusters(layout: Layout, least: int | None = None) -> I64:
         A map. Points that were not laid out get the cluster of the point beside which they were put.
     least : int, optional
         The smallest number of points of a cluster among those that were laid out; None: one in `SHARE`, and at least
-        `LEAST`.
+        `MIN_POINTS`.
 
     Returns
     -------
@@ -209,10 +209,10 @@ def map_clusters(layout: Layout, least: int | None = None) -> I64:
         scikit-learn is not installed (`kinedex[map]`).
     """
     cluster = extra_package("sklearn.cluster", "scikit-learn", PURPOSE, "map")
-    laid = layout.places[layout.chosen].astype(np.float64)
-    least = max(LEAST, len(laid) // SHARE) if least is None else least
+    laid = layout.positions[layout.chosen].astype(np.float64)
+    least = max(MIN_POINTS, len(laid) // SHARE) if least is None else least
     if len(laid) < max(2, least):
-        return np.full(len(layout.places), NO_CLUSTER)
+        return np.full(len(layout.positions), NO_CLUSTER)
     found = cluster.HDBSCAN(min_cluster_size=least, copy=True).fit_predict(laid)
     labels = found.astype(np.int64)[layout.nearest]
     sizes = np.bincount(labels[labels >= 0], minlength=int(labels.max(initial=-1)) + 1)
@@ -223,12 +223,12 @@ def map_clusters(layout: Layout, least: int | None = None) -> I64:
     return ranked
 
 
-def outline(places: F32) -> F32:
+def outline(positions: F32) -> F32:
     """Return the corners of the convex hull of points, in order; only two points if the hull has no area.
 
     Parameters
     ----------
-    places : float32 array (P, 2)
+    positions : float32 array (P, 2)
         The points.
 
     Examples
@@ -237,12 +237,12 @@ def outline(places: F32) -> F32:
     3
     """
     spatial = extra_package("scipy.spatial", "scikit-learn", PURPOSE, "map")
-    if len(places) < 3:
-        return places
+    if len(positions) < 3:
+        return positions
     try:
-        corners: F32 = places[spatial.ConvexHull(places.astype(np.float64)).vertices]
+        corners: F32 = positions[spatial.ConvexHull(positions.astype(np.float64)).vertices]
     except spatial.QhullError:  # the points are collinear
-        return places[np.lexsort((places[:, 1], places[:, 0]))[[0, -1]]]
+        return positions[np.lexsort((positions[:, 1], positions[:, 0]))[[0, -1]]]
     return corners
 
 
@@ -290,12 +290,12 @@ def _means(shares: F64) -> F64:
     return np.where(count > 0, sums / np.maximum(count, 1), np.nan)
 
 
-def typical(places: F32, inside: Bool, count: int = 3) -> I64:
+def typical(positions: F32, inside: Bool, count: int = 3) -> I64:
     """Return the points of a cluster that are nearest to its centre on the map, the nearest first.
 
     Parameters
     ----------
-    places : float32 array (P, 2)
+    positions : float32 array (P, 2)
         The positions of the points on the map.
     inside : bool array (P,)
         True for the points of the cluster.
@@ -303,6 +303,6 @@ def typical(places: F32, inside: Bool, count: int = 3) -> I64:
         The most points to return.
     """
     members = np.flatnonzero(inside)
-    middle = np.median(places[members], axis=0)
-    distance = ((places[members] - middle) ** 2).sum(axis=1)
+    middle = np.median(positions[members], axis=0)
+    distance = ((positions[members] - middle) ** 2).sum(axis=1)
     return members[np.argsort(distance, kind="stable")[:count]].astype(np.int64)

@@ -12,10 +12,10 @@ from kinedex.ops.arrays import F64, I64, U64, Bool
 from kinedex.ops.distances.curve_path import curve_paths, essential_minima, least_curve
 from kinedex.ops.distances.dtw import distance_curves
 from kinedex.ops.errors import ParameterError
-from kinedex.ops.priors.archive_poses import Motion
+from kinedex.ops.priors.archive_poses import PriorMotion
 from kinedex.ops.templates.templates import QuantisedTemplate
 
-LEAST_QUALITY = 0.1
+MIN_QUALITY = 0.1
 """The smallest quality of a hit; a hit's priors are weighted by its quality."""
 
 POSE, ARCHIVE = "pose", "archive"
@@ -83,8 +83,8 @@ def find_hits(
     ]
     least = least_curve(curves)
     ends = local_minima(least.costs, threshold)
-    places = {(hit.motion, hit.stop - 1): hit for hits in own for hit in hits}
-    best = _essential([places[int(least.curves[end]), end] for end in ends.tolist()])
+    positions = {(hit.motion, hit.stop - 1): hit for hits in own for hit in hits}
+    best = _essential([positions[int(least.curves[end]), end] for end in ends.tolist()])
     chosen = {id(hit) for hit in best}
     others = [hit for hits in own for hit in _essential(hits) if id(hit) not in chosen]
     return best, sorted(others, key=lambda hit: (hit.cost, hit.stop, hit.motion))
@@ -201,7 +201,7 @@ def allocate(hits: Sequence[MotionHit], frames: int, threshold: float) -> Alloca
     frames : int
         The number of frames T.
     threshold : float
-        τ, which the quality max(`LEAST_QUALITY`, 1 − cost / τ) of a hit is measured against.
+        τ, which the quality max(`MIN_QUALITY`, 1 − cost / τ) of a hit is measured against.
 
     Returns
     -------
@@ -214,7 +214,7 @@ def allocate(hits: Sequence[MotionHit], frames: int, threshold: float) -> Alloca
         hit = hits[place]
         owners[hit.start : hit.stop] = place
         columns[hit.start : hit.stop] = np.rint(hit.columns).astype(np.int64)
-    qualities = np.maximum(LEAST_QUALITY, 1.0 - costs / threshold)
+    qualities = np.maximum(MIN_QUALITY, 1.0 - costs / threshold)
     lenders = np.full(frames, -1, np.int64)
     for place, hit in enumerate(hits):
         source = _source(hits, place)
@@ -289,7 +289,7 @@ class PriorRow:
 
 def prior_rows(
     allocation: Allocation,
-    motions: Sequence[Motion],
+    motions: Sequence[PriorMotion],
     weights: Mapping[str, float],
     number: int,
     hit_numbers: Sequence[int],

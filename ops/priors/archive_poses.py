@@ -21,7 +21,7 @@ from kinedex.ops.templates.templates import QuantisedTemplate, Template
 from kinedex.ops.templates.warping import align
 from kinedex.ops.words import NO_WORD, bits
 
-LEAST_SEEN_S = 5 / 30
+MIN_SEEN_S = 5 / 30
 """Minimum time in seconds that a node must be seen in a hit for the actor's own deviation to be measured."""
 
 FULL_SEEN_S = 0.5
@@ -66,10 +66,10 @@ def pose_table(clips: Sequence[Poses], frames: Sequence[I64]) -> PoseTable:
     """
     if not clips:
         raise ParameterError("clips", "at least one clip with poses", 0)
-    turns = np.stack([clip.turns[own] for clip, own in zip(clips, frames, strict=True)])
-    means = nearest_rotations(turns.mean(axis=0))
-    spreads = np.sqrt((relative_turns(means[None], turns) ** 2).mean(axis=0))
-    tilts = turns[:, :, 0, 1, :].mean(axis=0)  # Rᵀe_y is the second row of R
+    rotations = np.stack([clip.rotations[own] for clip, own in zip(clips, frames, strict=True)])
+    means = nearest_rotations(rotations.mean(axis=0))
+    spreads = np.sqrt((relative_rotations(means[None], rotations) ** 2).mean(axis=0))
+    tilts = rotations[:, :, 0, 1, :].mean(axis=0)  # Rᵀe_y is the second row of R
     return PoseTable(means, spreads, tilts / np.linalg.norm(tilts, axis=1, keepdims=True), len(clips))
 
 
@@ -82,34 +82,34 @@ def nearest_rotations(matrices: F64) -> F64:
     return rotations
 
 
-def relative_turns(means: F64, turns: F64) -> F64:
+def relative_rotations(means: F64, rotations: F64) -> F64:
     """Return log(MᵀR), the rotation vectors (…, 3) from means M to rotations R (…, 3, 3), in the means' frame."""
-    means, turns = np.broadcast_arrays(means, turns)
+    means, rotations = np.broadcast_arrays(means, rotations)
     vectors = np.empty((means.size // 9, 3))
-    _relative(np.ascontiguousarray(means).reshape(-1, 3, 3), np.ascontiguousarray(turns).reshape(-1, 3, 3), vectors)
+    _relative(np.ascontiguousarray(means).reshape(-1, 3, 3), np.ascontiguousarray(rotations).reshape(-1, 3, 3), vectors)
     return vectors.reshape(means.shape[:-1])
 
 
 @nb.njit(cache=True, nogil=True)
-def _relative(means: F64, turns: F64, vectors: F64) -> None:
+def _relative(means: F64, rotations: F64, vectors: F64) -> None:
     product = np.empty((3, 3))
     for place in range(len(means)):
         for i in range(3):
             for j in range(3):
                 product[i, j] = (
-                    means[place, 0, i] * turns[place, 0, j]
-                    + means[place, 1, i] * turns[place, 1, j]
-                    + means[place, 2, i] * turns[place, 2, j]
+                    means[place, 0, i] * rotations[place, 0, j]
+                    + means[place, 1, i] * rotations[place, 1, j]
+                    + means[place, 2, i] * rotations[place, 2, j]
                 )
         copy_row(vectors[place], vector_of(product))
 
 
-class OwnWay(NamedTuple):
+class ActorDeviation(NamedTuple):
     """An actor's own deviation from the archive's rotations in a hit, measured where the cameras agree.
 
     Attributes
     ----------
-    turns : float64 array (K, 3, 3)
+    rotations : float64 array (K, 3, 3)
         The rotation to apply after the archive's mean; the identity where the node is hardly seen.
     residuals : float64 array (K, 3)
         Root mean square of the remaining log(MᵀR) over the frames where the node is seen, in radians; NaN where it is
@@ -118,19 +118,19 @@ class OwnWay(NamedTuple):
         The time for which each node is seen, in seconds.
     """
 
-    turns: F64
+    rotations: F64
     residuals: F64
     seen_s: F64
 
 
-def own_way(means: F64, turns: F64, seen: Bool, rate_hz: float) -> OwnWay:
+def actor_deviation(means: F64, rotations: F64, seen: Bool, rate_hz: float) -> ActorDeviation:
     """Measure how an actor's rotations deviate from the archive in the frames of a hit.
 
     Parameters
     ----------
     means : float64 array (E, K, 3, 3)
         The archive's rotation of each node in the frames of the hit.
-    turns : float64 array (E, K, 3, 3)
+    rotations : float64 array (E, K, 3, 3)
         The track's rotation of each node.
     seen : bool array (E, K)
         The nodes whose keypoints the cameras agree on.
@@ -141,19 +141,19 @@ def own_way(means: F64, turns: F64, seen: Bool, rate_hz: float) -> OwnWay:
     -------
     OwnWay
         Per node, the rotation exp(v), where v is the mean of log(MᵀR) over the N frames in which the node is seen,
-        times min(1, N / rate_hz / `FULL_SEEN_S`); the identity if it is seen for less than `LEAST_SEEN_S`. Also the
+        times min(1, N / rate_hz / `FULL_SEEN_S`); the identity if it is seen for less than `MIN_SEEN_S`. Also the
         root mean square of the remaining deviation in radians, and the seconds for which each node is seen.
     """
     counts = seen.sum(axis=0)
-    enough = counts >= LEAST_SEEN_S * rate_hz - 1e-9
-    vectors = relative_turns(means, turns)
+    enough = counts >= MIN_SEEN_S * rate_hz - 1e-9
+    vectors = relative_rotations(means, rotations)
     shares = np.minimum(1.0, counts / (FULL_SEEN_S * rate_hz)) * enough
     total = np.where(seen[:, :, None], vectors, 0.0).sum(axis=0)
     offsets = total / np.maximum(counts, 1)[:, None] * shares[:, None]
     own = np.stack([rotation_of(vector) for vector in offsets]) if len(offsets) else np.zeros((0, 3, 3))
-    left = relative_turns(means @ own, turns)
+    left = relative_rotations(means @ own, rotations)
     squares = np.where(seen[:, :, None], left**2, 0.0).sum(axis=0) / np.maximum(counts, 1)[:, None]
-    return OwnWay(own, np.where(enough[:, None], np.sqrt(squares), np.nan), counts / rate_hz)
+    return ActorDeviation(own, np.where(enough[:, None], np.sqrt(squares), np.nan), counts / rate_hz)
 
 
 def clip_frames(template: Template, words: U64) -> I64:
@@ -195,7 +195,7 @@ def clip_frames(template: Template, words: U64) -> I64:
 
 
 @dataclass(frozen=True, eq=False)
-class Motion:
+class PriorMotion:
     """A class of motions with its template, its poses and its marked regions.
 
     Attributes

@@ -31,7 +31,7 @@ FEATURES: Mapping[Constraint, Mapping[str, bool]] = {
 }
 """The features of each constraint, without the prefix l or r, and their values."""
 
-LEAST_COLUMNS = 3
+MIN_COLUMNS = 3
 """Minimum number of columns of a run that is marked by default."""
 
 GROUND_M, FRONT_M, BENT_RAD = 0.03, 0.05, 0.2
@@ -101,7 +101,7 @@ def template_marks(
 ) -> tuple[Mark, ...]:
     """Return the marked regions of a template.
 
-    By default these are all runs of `LEAST_COLUMNS` columns or more whose entries fix the features of a constraint.
+    By default these are all runs of `MIN_COLUMNS` columns or more whose entries fix the features of a constraint.
     `foot_to_front` is marked in locomotion only, as its features alone do not imply it.
 
     Parameters
@@ -142,7 +142,7 @@ def template_marks(
 def _fixed(
     template: QuantisedTemplate, bits: Mapping[str, int], constraint: Constraint, side: Side, locomotion: bool
 ) -> Bool:
-    """Return a mask (N,) of the columns that fix all features of a constraint, without runs below `LEAST_COLUMNS`."""
+    """Return a mask (N,) of the columns that fix all features of a constraint, without runs below `MIN_COLUMNS`."""
     fixed = np.ones(len(template), np.bool_)
     features = {side[0] + name: value for name, value in FEATURES[constraint].items()}
     if not features.keys() <= bits.keys() or (constraint == "foot_to_front" and not locomotion):
@@ -151,7 +151,7 @@ def _fixed(
         bit = np.uint64(1 << bits[name])
         fixed &= (template.mask & bit != 0) & ((template.value & bit != 0) == value)
     for start, stop in _runs(fixed):
-        if stop - start < LEAST_COLUMNS:
+        if stop - start < MIN_COLUMNS:
             fixed[start:stop] = False
     return fixed
 
@@ -161,7 +161,7 @@ def _runs(marked: Bool) -> list[tuple[int, int]]:
     return [(start, stop) for start, stop in edges]
 
 
-class PlacePulls(NamedTuple):
+class PositionPulls(NamedTuple):
     """Pulls on joint positions, see `ops.tracking.observations.PriorTerms`, with weights for a quality of 1."""
 
     frames: I64
@@ -171,7 +171,7 @@ class PlacePulls(NamedTuple):
     weights: F64
 
 
-def ground_pulls(body: ChainBody, positions: F64, standing: Bool, side: Side) -> PlacePulls:
+def ground_pulls(body: ChainBody, positions: F64, standing: Bool, side: Side) -> PositionPulls:
     """Return the pulls of a foot to the ground, at each joint's own lowest height (thesis, Eq. 6.7).
 
     Parameters
@@ -197,7 +197,7 @@ def ground_pulls(body: ChainBody, positions: F64, standing: Bool, side: Side) ->
 
 def front_pulls(
     body: ChainBody, poses: Poses, positions: F64, moving: Bool, constraint: Constraint, side: Side, rate_hz: float
-) -> PlacePulls:
+) -> PositionPulls:
     """Return the forward pulls of a hand or foot that moves more slowly than its feature requires.
 
     Parameters
@@ -220,7 +220,7 @@ def front_pulls(
     chain = body.chain
     joint = chain.joint(side[0] + ("wrist" if constraint == "hand_to_front" else "ankle"))
     arm = np.linalg.norm(body.offsets[chain.joint(side[0] + "elbow")])
-    forwards = poses.turns[:, 0, :, 2] * [1.0, 0.0, 1.0]
+    forwards = poses.rotations[:, 0, :, 2] * [1.0, 0.0, 1.0]
     lengths = np.linalg.norm(forwards, axis=1)
     forwards = forwards / np.maximum(lengths, 1e-9)[:, None]
     apart = (positions[joint] - positions[chain.joint("root")]).T
@@ -233,19 +233,19 @@ def front_pulls(
     return _pulls(frames, joint, forwards[frames], at + missing[frames], FRONT_M)
 
 
-def _pulls(frames: I64, joint: int, directions: F64, targets: F64, sigma_m: float) -> PlacePulls:
+def _pulls(frames: I64, joint: int, directions: F64, targets: F64, sigma_m: float) -> PositionPulls:
     joints = np.full(len(frames), joint, np.int64)
-    return PlacePulls(frames, joints, directions, targets, np.full(len(frames), sigma_m**-2.0))
+    return PositionPulls(frames, joints, directions, targets, np.full(len(frames), sigma_m**-2.0))
 
 
-def joined(parts: Sequence[PlacePulls]) -> PlacePulls:
+def joined(parts: Sequence[PositionPulls]) -> PositionPulls:
     """Concatenate pulls, sorted by frame; pulls of one frame keep their order."""
     if not parts:
         none = np.zeros(0, np.int64)
-        return PlacePulls(none, none, np.zeros((0, 3)), np.zeros(0), np.zeros(0))
+        return PositionPulls(none, none, np.zeros((0, 3)), np.zeros(0), np.zeros(0))
     columns = [np.concatenate(column) for column in zip(*parts, strict=True)]
     order = np.argsort(columns[0], kind="stable")
-    return PlacePulls(*(column[order] for column in columns))
+    return PositionPulls(*(column[order] for column in columns))
 
 
 def straight_elbow(body: ChainBody, poses: Poses, bent: Bool, side: Side) -> tuple[int, Bool, F64]:
@@ -275,7 +275,7 @@ def straight_elbow(body: ChainBody, poses: Poses, bent: Bool, side: Side) -> tup
     axis = body.chain.axes_of(node)[0]
     straight = np.zeros(len(bent), np.bool_)
     for t in np.flatnonzero(bent).tolist():
-        straight[t] = axis.sign * vector_of(poses.turns[t, node])[axis.direction] < BENT_AT_RAD
+        straight[t] = axis.sign * vector_of(poses.rotations[t, node])[axis.direction] < BENT_AT_RAD
     vector = np.zeros(3)
     vector[axis.direction] = axis.sign * BENT_AT_RAD
     return node, straight, rotation_of(vector)

@@ -15,7 +15,7 @@ import numpy.typing as npt
 from numba import njit
 
 from kinedex.ops.errors import ParameterError
-from kinedex.ops.words import I64, MOST_FEATURES, NO_WORD, U64
+from kinedex.ops.words import I64, MAX_FEATURES, NO_WORD, U64
 
 I32 = npt.NDArray[np.int32]
 
@@ -30,7 +30,7 @@ copy is half as large, but twice as many blocks have to be searched.
 GRANULES = BLOCK // GRANULE
 """The number of granules in a block: 8, so that those of one block form a byte."""
 
-_VALID = MOST_FEATURES
+_VALID = MAX_FEATURES
 _VALID_BIT = np.uint64(1 << _VALID)
 NO_BITS, ALL_BITS = np.uint64(0), np.uint64(2**64 - 1)
 _LOW_HALF = np.uint64(0xFFFF_FFFF)
@@ -145,8 +145,8 @@ def slice_words(words: U64, offsets: I64, features: int) -> BitSlices:
     ParameterError
         If the offsets do not fit the words, or the number of features is out of range.
     """
-    if not 1 <= features <= MOST_FEATURES:
-        raise ParameterError("features", f"from 1 to {MOST_FEATURES}", features)
+    if not 1 <= features <= MAX_FEATURES:
+        raise ParameterError("features", f"from 1 to {MAX_FEATURES}", features)
     frames = np.diff(offsets)
     if len(offsets) == 0 or offsets[0] != 0 or offsets[-1] != len(words) or (frames < 0).any():
         raise ParameterError("offsets", f"ascending from 0 to the {len(words)} words", offsets[[0, -1]].tolist())

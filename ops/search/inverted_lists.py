@@ -10,11 +10,11 @@ from numba import njit
 
 from kinedex.ops.errors import ParameterError
 from kinedex.ops.search.runs import word_runs
-from kinedex.ops.words import I64, MOST_FEATURES, NO_WORD, U64, cut
+from kinedex.ops.words import I64, MAX_FEATURES, NO_WORD, U64, cut
 
 I32 = npt.NDArray[np.int32]
 
-MOST_COUNTED = 18
+MAX_COUNTED = 18
 """Maximum number of features for which a table with an entry for every possible word (2 MB) fits into the caches, so
 that runs are placed by counting in one pass. With more features the runs are sorted.
 """
@@ -113,9 +113,9 @@ def inverted_lists(words: U64, offsets: I64, first_feature: int, features: int) 
         raise ParameterError("offsets", f"rising from 0 to {len(words)}, the number of words", offsets[:3])
     if np.any(np.diff(offsets) > np.iinfo(np.int32).max):
         raise ParameterError("offsets", "of takes of less than 2^31 frames", int(np.diff(offsets).max()))
-    if not 1 <= first_feature <= MOST_FEATURES or not 1 <= features <= MOST_FEATURES + 1 - first_feature:
-        raise ParameterError("feature set", f"within bits 1 to {MOST_FEATURES}", (first_feature, features))
-    if features > MOST_COUNTED:
+    if not 1 <= first_feature <= MAX_FEATURES or not 1 <= features <= MAX_FEATURES + 1 - first_feature:
+        raise ParameterError("feature set", f"within bits 1 to {MAX_FEATURES}", (first_feature, features))
+    if features > MAX_COUNTED:
         runs = word_runs(cut(words, first_feature, features), offsets)
         return InvertedLists.from_runs(runs.word, runs.take, runs.start, runs.stop - runs.start)
     counts = np.zeros(1 << features, np.int64)

@@ -11,7 +11,7 @@ import numpy.typing as npt
 from kinedex.ops.errors import ParameterError
 from kinedex.ops.words import ALL_KNOWN, I64, NO_WORD, U64
 
-MOST_FEATURES_FIXED = 6
+MAX_FEATURES_FIXED = 6
 """Maximum number of features that a proposed keyframe fixes; the others are wildcards, so that it stays general."""
 
 RARE_ENOUGH = 0.01
@@ -115,7 +115,7 @@ def _pose(clip: U64, frame: int, counts: Sequence[SetCounts], unknown: int) -> P
     word = int(clip[frame])
     masks = [0] * len(counts)
     shares = [1.0] * len(counts)
-    for _ in range(MOST_FEATURES_FIXED):
+    for _ in range(MAX_FEATURES_FIXED):
         best = (WORTH_FIXING, -1, 0, 0.0)
         for number, one in enumerate(counts):
             mine, unsteady = word >> (one.first - 1), changing >> (one.first - 1)

@@ -10,7 +10,7 @@ from numba import njit
 
 from kinedex.ops.bits import lowest_bit
 from kinedex.ops.errors import ParameterError
-from kinedex.ops.words import I64, MOST_FEATURES, NO_WORD, U64
+from kinedex.ops.words import I64, MAX_FEATURES, NO_WORD, U64
 
 I32 = npt.NDArray[np.int32]
 
@@ -106,8 +106,8 @@ def feature_runs(words: U64, offsets: I64, features: int) -> FeatureRuns:
         If the offsets do not fit the words, or the number of features is out of range.
     """
     words, offsets = _checked(words, offsets)
-    if not 1 <= features <= MOST_FEATURES:
-        raise ParameterError("features", f"from 1 to {MOST_FEATURES}", features)
+    if not 1 <= features <= MAX_FEATURES:
+        raise ParameterError("features", f"from 1 to {MAX_FEATURES}", features)
     if np.any(np.diff(offsets) > np.iinfo(np.int32).max):
         raise ParameterError("offsets", "of takes of less than 2^31 frames", int(np.diff(offsets).max()))
     mask = np.uint64((1 << features) - 1)

@@ -136,8 +136,8 @@ def draw_surface(flesh: Flesh, height_m: float, generator: np.random.Generator) 
     radii = flesh.radii * factors[flesh.kinds, None] * (height_m / REFERENCE_HEIGHT_M)
     phase = float(generator.uniform(0.0, 6.0))
     clothes = flesh.clothes
-    turns = generator.uniform(0.0, np.pi, len(radii))
-    folds = np.stack([clothes.folds_m, np.pi / clothes.fold_length_m, turns], axis=1)
+    rotations = generator.uniform(0.0, np.pi, len(radii))
+    folds = np.stack([clothes.folds_m, np.pi / clothes.fold_length_m, rotations], axis=1)
     return Surface(np.ascontiguousarray(radii), clothes.waves_m, phase, np.ascontiguousarray(folds))
 
 

@@ -11,13 +11,13 @@ from kinedex.ops.body.facing_direction import turn_about_y
 from kinedex.ops.body.joint_tree import JOINTS
 from kinedex.ops.errors import ParameterError
 from kinedex.ops.simulation.depth_rays import ConeRays, Flesh, cone_ends, draw_surface, facing
-from kinedex.ops.simulation.depth_sensors import BASELINE_M, DepthSensor, Disturbance, measured
+from kinedex.ops.simulation.depth_sensors import BASELINE_M, DepthSensor, ExtraErrors, measured
 
 TOES_M = 0.03
 """Height in metres above the floor of the 5th percentile of the lower toes' height."""
 
-EYE_M, DISTANCE_M, STEP_M, MOST_STEPS = 1.1, 3.0, 0.25, 20
-LEAST_DEPTH_M, WALL_M = 0.8, 1.5
+EYE_M, DISTANCE_M, STEP_M, MAX_STEPS = 1.1, 3.0, 0.25, 20
+MIN_DEPTH_M, WALL_M = 0.8, 1.5
 BORDER_PX = (6.0, 6.0, 8.0, 4.0)
 """Minimum distance in pixels of the joints from the image's left, right, upper and lower border."""
 
@@ -78,7 +78,7 @@ def place_camera(sensor: DepthSensor, joints: F64, azimuth: float = 0.0) -> Came
     ahead = ahead / length if length > 0 else np.array([0.0, 0.0, 1.0])
     ahead = turn_about_y(ahead, azimuth)
     rotation = np.array([np.cross(-ahead, [0.0, 1.0, 0.0]), [0.0, -1.0, 0.0], -ahead])
-    for step in range(MOST_STEPS + 1):
+    for step in range(MAX_STEPS + 1):
         place = middle + (DISTANCE_M + STEP_M * step) * ahead
         place[1] = EYE_M
         outside = _outside(sensor, (joints - place) @ rotation.T)
@@ -91,8 +91,8 @@ def _outside(sensor: DepthSensor, seen: F64) -> Bool:
     """Return a mask (T,) of the frames with a joint that is too near, or outside the image or its border."""
     (width, height), (cx, cy) = sensor.size, sensor.centre
     left, right, upper, lower = BORDER_PX
-    near = seen[..., 2] < LEAST_DEPTH_M
-    depth = np.where(near, LEAST_DEPTH_M, seen[..., 2])
+    near = seen[..., 2] < MIN_DEPTH_M
+    depth = np.where(near, MIN_DEPTH_M, seen[..., 2])
     u = sensor.focal_px * seen[..., 0] / depth + cx
     v = sensor.focal_px * seen[..., 1] / depth + cy
     out = near | (u < left) | (u > width - 1 - right) | (v < upper) | (v > height - 1 - lower)
@@ -121,7 +121,7 @@ class DepthScene:
     """
 
     def __init__(
-        self, sensor: DepthSensor, flesh: Flesh, disturbance: Disturbance, joints: F64, height_m: float,
+        self, sensor: DepthSensor, flesh: Flesh, disturbance: ExtraErrors, joints: F64, height_m: float,
         camera: CameraPlace, generator: np.random.Generator,
     ) -> None:  # fmt: skip
         self.sensor, self._disturbance, self._generator = sensor, disturbance, generator

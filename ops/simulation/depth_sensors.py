@@ -63,7 +63,7 @@ SENSORS = {
 
 
 @dataclass(frozen=True)
-class Disturbance:
+class ExtraErrors:
     """Errors in addition to those of the sensor, as caused by dark or shiny clothes and warm electronics.
 
     Attributes
@@ -94,7 +94,7 @@ class Disturbance:
 
 
 def measured(
-    sensor: DepthSensor, depth: F64, body: Bool, shadow: Bool, disturbance: Disturbance, generator: np.random.Generator
+    sensor: DepthSensor, depth: F64, body: Bool, shadow: Bool, disturbance: ExtraErrors, generator: np.random.Generator
 ) -> U16:
     """Simulate a measurement of a sensor.
 

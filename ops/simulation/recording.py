@@ -252,7 +252,7 @@ class Detector:
                 raise ParameterError(name, f"from 0 to {below:g}", getattr(self, name))
 
 
-LEAST_CONFIDENCE, OUTLIER_CONFIDENCE = 0.5, (0.3, 0.9)
+MIN_CONFIDENCE, OUTLIER_CONFIDENCE = 0.5, (0.3, 0.9)
 
 
 def segment_offsets(detector: Detector, points: int, generator: np.random.Generator) -> F64:
@@ -284,7 +284,7 @@ def detected_keypoints(detector: Detector, pixels: F64, generator: np.random.Gen
     fresh = np.sqrt(1.0 - detector.correlation**2)
     for t in range(1, len(noise)):
         noise[t] = detector.correlation * noise[t - 1] + fresh * noise[t]
-    confidence = np.clip(generator.normal(detector.confidence, detector.confidence_sd, shape), LEAST_CONFIDENCE, 1.0)
+    confidence = np.clip(generator.normal(detector.confidence, detector.confidence_sd, shape), MIN_CONFIDENCE, 1.0)
     outlier = generator.random(shape) < detector.outliers
     errors = generator.normal(0.0, detector.outlier_px, (*shape, 2))
     doubted = generator.uniform(*OUTLIER_CONFIDENCE, shape)
@@ -492,7 +492,9 @@ def simulated_recording(
     if positions.shape[2] == 0 or not np.isfinite(positions).all():
         raise ParameterError("positions", "finite in all frames, of which there is one or more", positions.shape)
     of_cameras, of_keypoints, of_failures = generators
-    places = keypoint_places(body, positions, points, segment_offsets(setup.detector, len(points.nodes), of_keypoints))
+    places = keypoint_positions(
+        body, positions, points, segment_offsets(setup.detector, len(points.nodes), of_keypoints)
+    )
     root = np.ascontiguousarray(positions[body.chain.joint("root")].T)
     rotations, translations = ring_of_cameras(setup.ring, root, float(positions[:, 1].min()), of_cameras)
     seen = [
@@ -507,7 +509,7 @@ def simulated_recording(
     return SimulatedRecording(rotations, translations, pixels, confidence, tuple(failures))
 
 
-def keypoint_places(body: ChainBody, positions: F64, points: BodyPoints, offsets: F64) -> F64:
+def keypoint_positions(body: ChainBody, positions: F64, points: BodyPoints, offsets: F64) -> F64:
     """Compute the positions of keypoints.
 
     Parameters

@@ -280,7 +280,7 @@ def actor_name(number: int) -> str:
     return [name for name in every if name not in _NAMES][number - len(_NAMES)]
 
 
-def cast(number: int, seed: int) -> Actor:
+def draw_actor(number: int, seed: int) -> Actor:
     """Draw the actor with this number, counted from 0; the same seed gives the same actor."""
     rng = np.random.default_rng([seed, 7, number])
     size = float(np.clip(rng.normal(1.0, 0.055), 0.87, 1.13))

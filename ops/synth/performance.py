@@ -241,7 +241,7 @@ class Performance:
     labels: tuple[PerformedMotion, ...]
 
 
-def motion(name: str) -> Motion:
+def motion_named(name: str) -> Motion:
     """Return the motion of the subclass with this name."""
     for known in MOTIONS:
         if known.name == name:
@@ -269,7 +269,7 @@ def perform_clip(actor: Actor, name: str, number: int, seed: int) -> Performance
         The performance, labelled from its first to its last frame.
     """
     rng = np.random.default_rng([seed, 11, actor.seed % 1000, zlib.crc32(name.encode()), number])
-    what = motion(name)
+    what = motion_named(name)
     score = Score(actor, rng)
     _prepare(score, what.before)
     score.hurry(_overlap(rng))
@@ -318,7 +318,7 @@ def perform_take(actor: Actor, seconds: float, number: int, seed: int) -> Perfor
         what = pool.pop()
         _perform(score, what, spans)
         if what.after != "stand":
-            _perform(score, motion("standUp" if what.after == "sit" else "getUp"), spans)
+            _perform(score, motion_named("standUp" if what.after == "sit" else "getUp"), spans)
     _wait(score, 0.3)
     table = _captured(score, rng)
     return Performance(table, _labels(rng, spans, len(table)))

@@ -174,9 +174,9 @@ def average_all(method: Method, stack: Stack, paths: Paths, pairs: I64, referenc
         The new templates, in the order of the references.
     """
     count = len(stack)
-    places = np.full((count, count), -1)
-    places[pairs[:, 0], pairs[:, 1]] = places[pairs[:, 1], pairs[:, 0]] = np.arange(len(pairs))
-    return [rebalance(method.average(stack, i, paths, places[i]), method.merge) for i in references.tolist()]
+    positions = np.full((count, count), -1)
+    positions[pairs[:, 0], pairs[:, 1]] = positions[pairs[:, 1], pairs[:, 0]] = np.arange(len(pairs))
+    return [rebalance(method.average(stack, i, paths, positions[i]), method.merge) for i in references.tolist()]
 
 
 def rebalance(template: Weighted, merge: Callable[[Array, Array, float, float], Array]) -> Weighted:

@@ -10,7 +10,7 @@ import numpy as np
 from kinedex.ops.arrays import F64, I64, U64
 from kinedex.ops.distances.dtw import distance_curves
 from kinedex.ops.errors import ParameterError
-from kinedex.ops.ranking.ranking import rank
+from kinedex.ops.ranking.best_hits import rank
 from kinedex.ops.templates.templates import QuantisedTemplate
 from kinedex.ops.templates.warping import align
 from kinedex.ops.words import NO_WORD, TakeWords

@@ -16,20 +16,20 @@ from kinedex.ops.arrays import F64, I64, U64, Bool
 from kinedex.ops.errors import ParameterError
 from kinedex.ops.templates.averaging import TOLERANCE, Hard, Method, Soft, average_all, rebalance
 from kinedex.ops.templates.warping import Paths, Stack, Weighted, reference_pairs
-from kinedex.ops.words import MOST_FEATURES, NO_WORD, bits
+from kinedex.ops.words import MAX_FEATURES, NO_WORD, bits
 
 Kind = Literal["soft", "hard"]
 
-MOST_ROUNDS = 10
+MAX_ROUNDS = 10
 CONVERGED = 0.005
 
-MOST_AVERAGED = 80
+MAX_AVERAGED = 80
 """Maximum number of clips that are averaged, drawn evenly over actors and lengths; the other clips of a class are added
 last.
 """
 
 REFERENCES = 8
-"""Number of references among the drawn clips of a class with more than `MOST_AVERAGED` clips; otherwise all are."""
+"""Number of references among the drawn clips of a class with more than `MAX_AVERAGED` clips; otherwise all are."""
 
 
 @dataclass(frozen=True)
@@ -95,7 +95,7 @@ class QuantisedTemplate:
         if np.any(self.value & ~self.mask):
             raise ParameterError("value", "0 wherever mask is 0", "a value behind a wildcard")
         if self.feature_weights is not None:
-            counting = np.flatnonzero(bits(np.bitwise_or.reduce(self.mask, keepdims=True), MOST_FEATURES)[0])
+            counting = np.flatnonzero(bits(np.bitwise_or.reduce(self.mask, keepdims=True), MAX_FEATURES)[0])
             known = counting[counting < len(self.feature_weights)]
             own = self.feature_weights[known]
             if len(known) < len(counting) or not (np.isfinite(own) & (own > 0)).all():
@@ -116,7 +116,7 @@ class QuantisedTemplate:
 
 
 @dataclass(frozen=True)
-class Learned:
+class LearnedTemplate:
     """A learned template, with a record of the learning.
 
     Parameters
@@ -140,7 +140,7 @@ class Learned:
 
 
 @dataclass(frozen=True)
-class Piece:
+class AlignmentTask:
     """A task of a worker: P pairs of templates to align, int64 array (P, 2) of indices into the stack."""
 
     method: Method
@@ -148,7 +148,7 @@ class Piece:
     pairs: I64
 
 
-Spread = Callable[[Callable[[Piece], Paths], Iterable[Piece]], Iterable[Paths]]
+Spread = Callable[[Callable[[AlignmentTask], Paths], Iterable[AlignmentTask]], Iterable[Paths]]
 """A function that applies a function to all pieces and yields the results in order, such as `map` or an executor's."""
 
 
@@ -156,7 +156,7 @@ Align = Callable[[Stack, I64], Paths]
 """A function that aligns pairs of the templates of a stack."""
 
 
-def learn_soft(clips: Sequence[U64], features: int) -> Learned:
+def learn_soft(clips: Sequence[U64], features: int) -> LearnedTemplate:
     """Learn the soft motion template of a class (thesis, Section 2.3; Müller and Röder 2006).
 
     Values are weighted means over the clips; the local cost is the mean over features of |x − y|.
@@ -189,14 +189,14 @@ def learn(
     spread: Spread = map,
     pieces: int = 1,
     actors: Sequence[str] | None = None,
-) -> Learned:
+) -> LearnedTemplate:
     """Learn a soft or hard motion template, with the alignments of each round divided among workers.
 
     Soft templates are those of `learn_soft`. Hard templates (diploma thesis, Section 3.3.1, Eq. 3.1 to 3.6) have the
     values 0, 0.5 (a wildcard) and 1; the local cost counts the contradictions. The classical DTW cost between a hard
     template and every one of its clips is 0 (Claim 3.1 in Section 3.3.2 there).
 
-    The work grows quadratically with the number of clips up to `MOST_AVERAGED`, and linearly beyond. Beyond it, that
+    The work grows quadratically with the number of clips up to `MAX_AVERAGED`, and linearly beyond. Beyond it, that
     many clips are drawn, and only `REFERENCES` of them are references in the first round; the later rounds are those of
     a small class. Each clip that was not drawn is warped to the result once and averaged with the weight of one clip.
 
@@ -244,18 +244,18 @@ def learn(
         found = _weighed_in(method, found, len(drawn), others, align)
         clip_costs[rest] = _costs_to(method, [clips[place] for place in references], others, align, compared)
     template = Template(method.values(found.columns), found.weights, feature_weights)
-    return Learned(template, max(len(costs) - 1, 0), tuple(costs or [0.0]), tuple(clip_costs.tolist()))
+    return LearnedTemplate(template, max(len(costs) - 1, 0), tuple(costs or [0.0]), tuple(clip_costs.tolist()))
 
 
 def _drawn(clips: Sequence[U64], actors: Sequence[str] | None) -> tuple[I64, I64]:
     """Return the indices of the clips to average, and of the references among these."""
     lengths = [len(clip) for clip in clips]
     who = [""] * len(clips) if actors is None else list(actors)
-    drawn = evenly_drawn(lengths, who, MOST_AVERAGED)
+    drawn = evenly_drawn(lengths, who, MAX_AVERAGED)
     if len(drawn) == len(clips):
         return drawn, drawn
-    places = drawn.tolist()
-    return drawn, drawn[evenly_drawn([lengths[i] for i in places], [who[i] for i in places], REFERENCES)]
+    positions = drawn.tolist()
+    return drawn, drawn[evenly_drawn([lengths[i] for i in positions], [who[i] for i in positions], REFERENCES)]
 
 
 def _average(
@@ -275,7 +275,7 @@ def _average(
         rounds = len(costs) - 1
         # The first round is always done: otherwise, for equal costs, the first clip would be the template of the class.
         unchanged = rounds > 0 and abs(largest - costs[-2]) <= TOLERANCE
-        if rounds == MOST_ROUNDS or (rounds > 0 and (largest < CONVERGED or unchanged)):
+        if rounds == MAX_ROUNDS or (rounds > 0 and (largest < CONVERGED or unchanged)):
             break
         stack = Stack.of(average_all(method, stack, paths, pairs, references))
         references = np.arange(len(stack))
@@ -286,9 +286,9 @@ def _average(
 def _weighed_in(method: Method, template: Weighted, count: int, rest: Sequence[U64], align: Align) -> Weighted:
     """Update a template of `count` clips: average it with further clips, each warped to it once, and rebalance."""
     stack = Stack.of([template, *_clips(method, rest)])
-    places = np.arange(len(stack))
-    pairs = np.stack([np.zeros(len(rest), np.int64), places[1:]], axis=1)
-    averaged = method.average(stack, 0, align(stack, pairs), places - 1, count)
+    positions = np.arange(len(stack))
+    pairs = np.stack([np.zeros(len(rest), np.int64), positions[1:]], axis=1)
+    averaged = method.average(stack, 0, align(stack, pairs), positions - 1, count)
     return rebalance(averaged, method.merge)
 
 
@@ -311,7 +311,7 @@ def _totals(stack: Stack) -> F64:
     return np.array([piece.sum() for piece in np.split(stack.weights, stack.offsets[1:-1])])
 
 
-def align_piece(piece: Piece) -> Paths:
+def align_piece(piece: AlignmentTask) -> Paths:
     """Align the pairs of a piece; called by workers."""
     return piece.method.align(piece.stack, piece.pairs)
 
@@ -354,8 +354,8 @@ def _align(method: Method, stack: Stack, pairs: I64, spread: Spread, pieces: int
     cuts = np.searchsorted(work, work[-1] * np.arange(1, pieces) / pieces) + 1
     tasks = []
     for part in np.split(pairs, np.unique(cuts[cuts < len(pairs)])):
-        used, places = np.unique(part, return_inverse=True)
-        tasks.append(Piece(method, stack.chosen(used), places.reshape(-1, 2).astype(np.int64)))
+        used, positions = np.unique(part, return_inverse=True)
+        tasks.append(AlignmentTask(method, stack.chosen(used), positions.reshape(-1, 2).astype(np.int64)))
     return Paths.joined(list(spread(align_piece, tasks)))
 
 
@@ -366,8 +366,8 @@ def _medians(costs: F64, pairs: I64, references: I64, count: int) -> F64:
 
 
 def _validate(clips: Sequence[U64], features: int) -> None:
-    if not 1 <= features <= MOST_FEATURES:
-        raise ParameterError("features", f"from 1 to {MOST_FEATURES}", features)
+    if not 1 <= features <= MAX_FEATURES:
+        raise ParameterError("features", f"from 1 to {MAX_FEATURES}", features)
     if not clips:
         raise ParameterError("clips", "at least one clip", 0)
     for clip in clips:

@@ -366,7 +366,7 @@ def soft_costs(column: F64, turned: F64, first: int, total: float, out: F64) -> 
 
 @nb.njit(cache=True, nogil=True)
 def align_pairs(
-    soft: F64 | None, hard: U64 | None, total: float, weights: F64, offsets: I64, pairs: I64, places: I64
+    soft: F64 | None, hard: U64 | None, total: float, weights: F64, offsets: I64, pairs: I64, positions: I64
 ) -> tuple[F64, I64, U8]:
     """Align pairs of templates; return costs, path lengths, and steps as seen from both templates (kernel).
 
@@ -386,12 +386,12 @@ def align_pairs(
         The first column of each template, and the number of all columns.
     pairs : int64 array (P, 2)
         The indices of the two templates of each pair.
-    places : int64 array (2 P + 1,)
+    positions : int64 array (2 P + 1,)
         The result of `path_offsets`.
     """
     costs = np.empty(len(pairs))
     counts = np.empty(2 * len(pairs), np.int64)
-    steps = np.empty(places[-1], np.uint8)
+    steps = np.empty(positions[-1], np.uint8)
     longest = 0
     for i in range(len(offsets) - 1):
         longest = max(longest, offsets[i + 1] - offsets[i])
@@ -419,6 +419,6 @@ def align_pairs(
             advance_rows(accumulated, block, entered[top : top + rows, :width])
         costs[p] = accumulated[0, width]
         walked = entered[:height, :width]
-        counts[2 * p] = trace_back(walked, FIRST, steps[places[2 * p] : places[2 * p + 1]])
-        counts[2 * p + 1] = trace_back(walked, SECOND, steps[places[2 * p + 1] : places[2 * p + 2]])
+        counts[2 * p] = trace_back(walked, FIRST, steps[positions[2 * p] : positions[2 * p + 1]])
+        counts[2 * p + 1] = trace_back(walked, SECOND, steps[positions[2 * p + 1] : positions[2 * p + 2]])
     return costs, counts, steps

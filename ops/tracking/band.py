@@ -18,9 +18,9 @@ from numba import njit
 from kinedex.ops.arrays import F64, I64
 from kinedex.ops.body.kinematic_chain import PLACES, ChainArrays, log_gradients, log_of, take_step
 from kinedex.ops.copies import copy_row
-from kinedex.ops.tracking.blocks import TrackProblem, frame_cost, frame_room, frame_terms
+from kinedex.ops.tracking.blocks import TrackProblem, frame_buffers, frame_cost, frame_terms
 
-LEAST_DAMPING = 1e-6
+MIN_DAMPING = 1e-6
 """The number added to the diagonal of every system."""
 
 _PANEL = 8  # rows of a front that are subtracted from the others in one pass
@@ -94,7 +94,7 @@ def make_band(chain: ChainArrays, moving: I64, smoothness: F64, triples: F64) ->
 
 @njit(cache=True, nogil=True)
 def assemble(
-    problem: TrackProblem, places: F64, turns: F64, width: float, units: F64, exact: bool, band: Band
+    problem: TrackProblem, positions: F64, rotations: F64, width: float, units: F64, exact: bool, band: Band
 ) -> float:
     """Compute H and g of a take at given poses, and return the cost.
 
@@ -102,7 +102,7 @@ def assemble(
     ----------
     problem : TrackProblem
         The terms of the track.
-    places, turns : float64 array (T, 3), (T, K, 3, 3)
+    positions, rotations : float64 array (T, 3), (T, K, 3, 3)
         The poses.
     width : float
         c of the loss; infinite for squares.
@@ -118,17 +118,17 @@ def assemble(
     float
         The cost.
     """
-    room = frame_room(problem.chain, problem.evidence)
+    buffers = frame_buffers(problem.chain, problem.evidence)
     cost = 0.0
-    for t in range(len(places)):
-        cost += frame_terms(problem, t, places[t], turns[t], width, units[t], room, band.gradient[t])
+    for t in range(len(positions)):
+        cost += frame_terms(problem, t, positions[t], rotations[t], width, units[t], buffers, band.gradient[t])
         for a in range(len(band.coupled)):
             i = band.coupled[a]
             for b in range(a, len(band.coupled)):
-                band.blocks[t, a, b] = room.hessian[band.coupled[b], i]
+                band.blocks[t, a, b] = buffers.hessian[band.coupled[b], i]
         for i in range(len(band.smoothness)):
-            band.diagonals[t, i] = room.hessian[i, i]
-    return cost + _add_differences(problem.chain, places, turns, exact, band)
+            band.diagonals[t, i] = buffers.hessian[i, i]
+    return cost + _add_differences(problem.chain, positions, rotations, exact, band)
 
 
 @njit(cache=True, nogil=True)
@@ -141,16 +141,16 @@ def _log_between(first: F64, second: F64, between: F64) -> tuple[float, float, f
 
 
 @njit(cache=True, nogil=True)
-def _differences(chain: ChainArrays, places: F64, turns: F64, band: Band) -> float:
+def _differences(chain: ChainArrays, positions: F64, rotations: F64, band: Band) -> float:
     """Compute the velocities of all nodes, and return the cost of the second differences."""
     total, between, velocities = 0.0, np.empty((3, 3)), band.velocities
-    for t in range(len(places) - 1):
+    for t in range(len(positions) - 1):
         for k in range(len(chain.parents)):
-            copy_row(velocities[t, k], _log_between(turns[t, k], turns[t + 1, k], between))
+            copy_row(velocities[t, k], _log_between(rotations[t, k], rotations[t + 1, k], between))
         if t == 0 or band.triples[t] == 0.0:
             continue
         for i in range(PLACES):
-            total += band.smoothness[i] * (places[t + 1, i] - 2.0 * places[t, i] + places[t - 1, i]) ** 2
+            total += band.smoothness[i] * (positions[t + 1, i] - 2.0 * positions[t, i] + positions[t - 1, i]) ** 2
         for d in range(len(chain.axis_nodes)):
             k, i = chain.axis_nodes[d], chain.axis_directions[d]
             total += band.smoothness[PLACES + d] * (band.velocities[t, k, i] - band.velocities[t - 1, k, i]) ** 2
@@ -158,22 +158,22 @@ def _differences(chain: ChainArrays, places: F64, turns: F64, band: Band) -> flo
 
 
 @njit(cache=True, nogil=True)
-def _add_differences(chain: ChainArrays, places: F64, turns: F64, exact: bool, band: Band) -> float:
+def _add_differences(chain: ChainArrays, positions: F64, rotations: F64, exact: bool, band: Band) -> float:
     """Add the second differences to g, and return their cost.
 
     log(R_tᵀR_{t+1}) = v changes with R_{t+1} by the inverse right Jacobian J of v, and with R_t by −Jᵀ.
     """
-    cost = _differences(chain, places, turns, band)
+    cost = _differences(chain, positions, rotations, band)
     gradient, smoothness = band.gradient, band.smoothness
     pull = np.empty(3)
-    for t in range(len(places) - 1):
+    for t in range(len(positions) - 1):
         here = band.triples[t] if t > 0 else 0.0
-        after = band.triples[t + 1] if t + 2 < len(places) else 0.0
+        after = band.triples[t + 1] if t + 2 < len(positions) else 0.0
         if here == 0.0 and after == 0.0:
             continue
         for i in range(PLACES):
-            one = here * (places[t + 1, i] - 2.0 * places[t, i] + places[t - 1, i]) if here > 0.0 else 0.0
-            two = after * (places[t + 2, i] - 2.0 * places[t + 1, i] + places[t, i]) if after > 0.0 else 0.0
+            one = here * (positions[t + 1, i] - 2.0 * positions[t, i] + positions[t - 1, i]) if here > 0.0 else 0.0
+            two = after * (positions[t + 2, i] - 2.0 * positions[t + 1, i] + positions[t, i]) if after > 0.0 else 0.0
             gradient[t + 1, i] += smoothness[i] * (one - two)
             gradient[t, i] -= smoothness[i] * (one - two)
         d = 0
@@ -197,27 +197,27 @@ def _add_differences(chain: ChainArrays, places: F64, turns: F64, exact: bool, b
 
 
 @njit(cache=True, nogil=True)
-def take_cost(problem: TrackProblem, places: F64, turns: F64, width: float, units: F64, band: Band) -> float:
+def take_cost(problem: TrackProblem, positions: F64, rotations: F64, width: float, units: F64, band: Band) -> float:
     """Return the cost of a take at given poses, with fixed factors `units` of residuals; see `assemble`."""
-    room = frame_room(problem.chain, problem.evidence)
+    buffers = frame_buffers(problem.chain, problem.evidence)
     cost = 0.0
-    for t in range(len(places)):
-        cost += frame_cost(problem, t, places[t], turns[t], width, units[t], room)
-    return cost + _differences(problem.chain, places, turns, band)
+    for t in range(len(positions)):
+        cost += frame_cost(problem, t, positions[t], rotations[t], width, units[t], buffers)
+    return cost + _differences(problem.chain, positions, rotations, band)
 
 
 @njit(cache=True, nogil=True)
-def move(chain: ChainArrays, places: F64, turns: F64, steps: F64, new_places: F64, new_turns: F64) -> None:
+def move(chain: ChainArrays, positions: F64, rotations: F64, steps: F64, new_places: F64, new_turns: F64) -> None:
     """Update the poses of a take by steps (T, N) of their parameters; write the result into the last two arrays."""
-    for t in range(len(places)):
-        take_step(chain, places[t], turns[t], steps[t], new_places[t], new_turns[t])
+    for t in range(len(positions)):
+        take_step(chain, positions[t], rotations[t], steps[t], new_places[t], new_turns[t])
 
 
 @njit(cache=True, nogil=True)
 def solve_band(band: Band, damping: float, factors: F64, steps: F64) -> None:
     """Solve H x = −g for the steps of all frames.
 
-    The diagonal of H is multiplied by 1 + `damping`, and `LEAST_DAMPING` is added.
+    The diagonal of H is multiplied by 1 + `damping`, and `MIN_DAMPING` is added.
 
     Parameters
     ----------
@@ -249,7 +249,7 @@ def _solve_single(band: Band, damping: float, own: F64, near: F64, far: F64, ste
     for i in band.single:
         w = band.smoothness[i]
         for t in range(frames):
-            pivot = (band.diagonals[t, i] + w * own[t]) * (1.0 + damping) + LEAST_DAMPING
+            pivot = (band.diagonals[t, i] + w * own[t]) * (1.0 + damping) + MIN_DAMPING
             right, one = -band.gradient[t, i], w * near[t]
             if t >= 1:
                 pivot -= first[t - 1] * first[t - 1] * pivots[t - 1]
@@ -282,7 +282,7 @@ def _solve_coupled(band: Band, damping: float, own: F64, near: F64, far: F64, fa
             for b in range(len(row)):
                 row[b] += block[b]
             diagonal = weights[a] * own[t]
-            row[0] += diagonal + damping * (band.diagonals[t, i] + diagonal) + LEAST_DAMPING
+            row[0] += diagonal + damping * (band.diagonals[t, i] + diagonal) + MIN_DAMPING
             front[a, m + a] += weights[a] * near[t]
             front[a, 2 * m + a] += weights[a] * far[t]
             right[a] -= band.gradient[t, i]

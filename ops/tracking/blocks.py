@@ -134,7 +134,7 @@ class TrackProblem(NamedTuple):
             evidence._replace(
                 directions=evidence.directions[first:stop],
                 confidence=evidence.confidence[first:stop],
-                places=evidence.places[first:stop],
+                positions=evidence.positions[first:stop],
                 precisions=evidence.precisions[first:stop],
             ),
             priors._replace(
@@ -172,7 +172,7 @@ def place_points(nodes: I64, offsets: F64, turned: F64, centres: F64, points: F6
 
 @njit(cache=True, nogil=True)
 def add_point(
-    chain: ChainArrays, room: FrameRoom, node: int, point: F64, matrix: F64, vector: F64, gradient: F64
+    chain: ChainArrays, buffers: FrameBuffers, node: int, point: F64, matrix: F64, vector: F64, gradient: F64
 ) -> None:
     """Add JᵀAJ and Jᵀb of one point to H and g of a frame.
 
@@ -180,7 +180,7 @@ def add_point(
     ----------
     chain : ChainArrays
         The body.
-    room : FrameRoom
+    buffers : FrameRoom
         The arrays of the frame with its nodes; the lower half of H is added to.
     node : int
         The node that moves the point.
@@ -193,8 +193,8 @@ def add_point(
     gradient : float64 array (parameters,)
         g.
     """
-    columns, hessian = room.columns, room.hessian
-    count = point_jacobian(chain, room.turned, room.centres, node, point, columns)
+    columns, hessian = buffers.columns, buffers.hessian
+    count = point_jacobian(chain, buffers.turned, buffers.centres, node, point, columns)
     for a in range(count):
         p, u, v, w = int(columns[a, 0]), columns[a, 1], columns[a, 2], columns[a, 3]
         gradient[p] += u * vector[0] + v * vector[1] + w * vector[2]
@@ -206,7 +206,7 @@ def add_point(
 
 
 @njit(cache=True, nogil=True)
-def add_prior_terms(problem: TrackProblem, t: int, turns: F64, room: FrameRoom, gradient: F64) -> float:
+def add_prior_terms(problem: TrackProblem, t: int, rotations: F64, buffers: FrameBuffers, gradient: F64) -> float:
     """Add the terms of priors of one frame to H and g, and return their cost.
 
     g uses the exact derivative of the logarithm; H approximates it by the identity, so its part is diagonal.
@@ -217,9 +217,9 @@ def add_prior_terms(problem: TrackProblem, t: int, turns: F64, room: FrameRoom, 
         The body and the terms.
     t : int
         The frame.
-    turns : float64 array (K, 3, 3)
+    rotations : float64 array (K, 3, 3)
         Rotation of each node from its parent.
-    room : FrameRoom
+    buffers : FrameRoom
         The arrays of the frame with its nodes; the lower half of H is added to.
     gradient : float64 array (parameters,)
         g.
@@ -229,13 +229,13 @@ def add_prior_terms(problem: TrackProblem, t: int, turns: F64, room: FrameRoom, 
     float
         The cost.
     """
-    chain, priors, hessian = problem.chain, problem.priors, room.hessian
-    total = _add_turn_terms(chain, priors, t, turns, hessian, gradient)
+    chain, priors, hessian = problem.chain, problem.priors, buffers.hessian
+    total = _add_rotation_terms(chain, priors, t, rotations, hessian, gradient)
     if priors.tilt_weights[t] > 0.0:
-        total += _add_tilt_term(chain, priors, t, turns[0], hessian, gradient)
+        total += _add_tilt_term(chain, priors, t, rotations[0], hessian, gradient)
     matrix, vector, point = np.empty((3, 3)), np.empty(3), np.empty(3)
     for n in range(priors.place_starts[t], priors.place_starts[t + 1]):
-        node = _place_joint(chain, priors.place_joints[n], room, point)
+        node = _place_joint(chain, priors.place_joints[n], buffers, point)
         weight = priors.place_weights[n]
         excess = -priors.place_targets[n]
         for i in range(3):
@@ -244,19 +244,19 @@ def add_prior_terms(problem: TrackProblem, t: int, turns: F64, room: FrameRoom, 
             vector[i] = weight * excess * priors.place_directions[n, i]
             for j in range(3):
                 matrix[i, j] = weight * priors.place_directions[n, i] * priors.place_directions[n, j]
-        add_point(chain, room, node, point, matrix, vector, gradient)
+        add_point(chain, buffers, node, point, matrix, vector, gradient)
         total += weight * excess * excess
     return total
 
 
 @njit(cache=True, nogil=True)
-def _place_joint(chain: ChainArrays, joint: int, room: FrameRoom, point: F64) -> int:
+def _place_joint(chain: ChainArrays, joint: int, buffers: FrameBuffers, point: F64) -> int:
     """Write a joint's position in the world into the last array, and return the node that moves the joint."""
     k = chain.joint_nodes[joint]
     for i in range(3):
-        point[i] = room.centres[k, i]
+        point[i] = buffers.centres[k, i]
         for a in range(3):
-            point[i] += room.turned[k, i, a] * chain.joint_offsets[joint, a]
+            point[i] += buffers.turned[k, i, a] * chain.joint_offsets[joint, a]
     return k
 
 
@@ -276,7 +276,9 @@ def _weightless(weights: F64) -> bool:
 
 
 @njit(cache=True, nogil=True)
-def _add_turn_terms(chain: ChainArrays, priors: PriorArrays, t: int, turns: F64, hessian: F64, gradient: F64) -> float:
+def _add_rotation_terms(
+    chain: ChainArrays, priors: PriorArrays, t: int, rotations: F64, hessian: F64, gradient: F64
+) -> float:
     total, d = 0.0, 0
     for k in range(len(chain.parents)):
         first = d
@@ -284,7 +286,7 @@ def _add_turn_terms(chain: ChainArrays, priors: PriorArrays, t: int, turns: F64,
             d += 1
         if d == first or _weightless(priors.turn_weights[t, k]):
             continue
-        vector = _turn_from(priors.turn_targets[t, k], turns[k])
+        vector = _turn_from(priors.turn_targets[t, k], rotations[k])
         derivative = log_derivative(vector)
         for a in range(first, d):
             i = chain.axis_directions[a]
@@ -319,7 +321,7 @@ def _add_tilt_term(chain: ChainArrays, priors: PriorArrays, t: int, turn: F64, h
 
 
 @njit(cache=True, nogil=True)
-def prior_cost(problem: TrackProblem, t: int, turns: F64, room: FrameRoom) -> float:
+def prior_cost(problem: TrackProblem, t: int, rotations: F64, buffers: FrameBuffers) -> float:
     """Return the cost of the terms of priors of one frame; see `add_prior_terms`."""
     chain, priors = problem.chain, problem.priors
     total, d = 0.0, 0
@@ -329,16 +331,16 @@ def prior_cost(problem: TrackProblem, t: int, turns: F64, room: FrameRoom) -> fl
             d += 1
         if d == first or _weightless(priors.turn_weights[t, k]):
             continue
-        vector = _turn_from(priors.turn_targets[t, k], turns[k])
+        vector = _turn_from(priors.turn_targets[t, k], rotations[k])
         for a in range(first, d):
             i = chain.axis_directions[a]
             total += priors.turn_weights[t, k, i] * vector[i] * vector[i]
     if priors.tilt_weights[t] > 0.0:
         for i in range(3):
-            total += priors.tilt_weights[t] * (turns[0, 1, i] - priors.tilt_targets[t, i]) ** 2
+            total += priors.tilt_weights[t] * (rotations[0, 1, i] - priors.tilt_targets[t, i]) ** 2
     point = np.empty(3)
     for n in range(priors.place_starts[t], priors.place_starts[t + 1]):
-        _place_joint(chain, priors.place_joints[n], room, point)
+        _place_joint(chain, priors.place_joints[n], buffers, point)
         excess = -priors.place_targets[n]
         for i in range(3):
             excess += priors.place_directions[n, i] * point[i]
@@ -346,7 +348,7 @@ def prior_cost(problem: TrackProblem, t: int, turns: F64, room: FrameRoom) -> fl
     return total
 
 
-class FrameRoom(NamedTuple):
+class FrameBuffers(NamedTuple):
     """Preallocated arrays for H and g of one frame.
 
     Attributes
@@ -373,10 +375,10 @@ class FrameRoom(NamedTuple):
 
 
 @njit(cache=True, nogil=True)
-def frame_room(chain: ChainArrays, evidence: Evidence) -> FrameRoom:
+def frame_buffers(chain: ChainArrays, evidence: Evidence) -> FrameBuffers:
     """Allocate the arrays of one frame."""
     nodes, points, size = len(chain.parents), len(evidence.nodes), PLACES + len(chain.axis_nodes)
-    return FrameRoom(
+    return FrameBuffers(
         np.empty((nodes, 3, 3)),
         np.empty((nodes, 3)),
         np.empty((points, 3)),
@@ -389,9 +391,16 @@ def frame_room(chain: ChainArrays, evidence: Evidence) -> FrameRoom:
 
 @njit(cache=True, nogil=True)
 def frame_terms(
-    problem: TrackProblem, t: int, place: F64, turns: F64, width: float, units: F64, room: FrameRoom, gradient: F64
+    problem: TrackProblem,
+    t: int,
+    place: F64,
+    rotations: F64,
+    width: float,
+    units: F64,
+    buffers: FrameBuffers,
+    gradient: F64,
 ) -> float:
-    """Compute H, into `room.hessian`, and g of one frame, and return its cost.
+    """Compute H, into `buffers.hessian`, and g of one frame, and return its cost.
 
     Parameters
     ----------
@@ -399,13 +408,13 @@ def frame_terms(
         The terms of the track.
     t : int
         The frame.
-    place, turns : float64 array (3,), (K, 3, 3)
+    place, rotations : float64 array (3,), (K, 3, 3)
         Its pose.
     width : float
         c of the loss; infinite for squares.
     units : float64 array (V, P)
         Out: the squares of the factors of residuals, see `rays.point_terms`.
-    room : FrameRoom
+    buffers : FrameRoom
         The preallocated arrays of the frame.
     gradient : float64 array (parameters,)
         Out: g.
@@ -416,26 +425,26 @@ def frame_terms(
         The cost: of observations, pulls to rest, hinges, and priors.
     """
     chain, evidence = problem.chain, problem.evidence
-    pose_nodes(chain, place, turns, room.turned, room.centres)
-    place_points(evidence.nodes, evidence.offsets, room.turned, room.centres, room.points)
-    cost = point_terms(evidence, t, room.points, width, units, room.matrices, room.vectors)
-    room.hessian[:] = 0.0
+    pose_nodes(chain, place, rotations, buffers.turned, buffers.centres)
+    place_points(evidence.nodes, evidence.offsets, buffers.turned, buffers.centres, buffers.points)
+    cost = point_terms(evidence, t, buffers.points, width, units, buffers.matrices, buffers.vectors)
+    buffers.hessian[:] = 0.0
     gradient[:] = 0.0
-    add_points(chain, evidence.nodes, room, gradient)
-    cost += add_rest_terms(chain, turns, room.hessian, gradient)
-    return cost + add_prior_terms(problem, t, turns, room, gradient)
+    add_points(chain, evidence.nodes, buffers, gradient)
+    cost += add_rest_terms(chain, rotations, buffers.hessian, gradient)
+    return cost + add_prior_terms(problem, t, rotations, buffers, gradient)
 
 
 @njit(cache=True, nogil=True)
 def frame_cost(
-    problem: TrackProblem, t: int, place: F64, turns: F64, width: float, units: F64, room: FrameRoom
+    problem: TrackProblem, t: int, place: F64, rotations: F64, width: float, units: F64, buffers: FrameBuffers
 ) -> float:
     """Return the cost of one frame, with fixed factors `units` of residuals; see `frame_terms`."""
     chain, evidence = problem.chain, problem.evidence
-    pose_nodes(chain, place, turns, room.turned, room.centres)
-    place_points(evidence.nodes, evidence.offsets, room.turned, room.centres, room.points)
-    cost = point_cost(evidence, t, room.points, width, units, np.bool_(False)) + rest_cost(chain, turns)
-    return cost + prior_cost(problem, t, turns, room)
+    pose_nodes(chain, place, rotations, buffers.turned, buffers.centres)
+    place_points(evidence.nodes, evidence.offsets, buffers.turned, buffers.centres, buffers.points)
+    cost = point_cost(evidence, t, buffers.points, width, units, np.bool_(False)) + rest_cost(chain, rotations)
+    return cost + prior_cost(problem, t, rotations, buffers)
 
 
 def observation_costs(body: ChainBody, evidence: Evidence, poses: Poses, width: float) -> F64:
@@ -457,25 +466,25 @@ def observation_costs(body: ChainBody, evidence: Evidence, poses: Poses, width: 
     float64 array (T,)
         Σ conf² ρ(r).
     """
-    costs = np.empty(len(poses.places))
-    _observation_costs(body.arrays, evidence, poses.places, poses.turns, width, costs)
+    costs = np.empty(len(poses.positions))
+    _observation_costs(body.arrays, evidence, poses.positions, poses.rotations, width, costs)
     return costs
 
 
 @njit(cache=True, nogil=True)
 def _observation_costs(
-    chain: ChainArrays, evidence: Evidence, places: F64, turns: F64, width: float, costs: F64
+    chain: ChainArrays, evidence: Evidence, positions: F64, rotations: F64, width: float, costs: F64
 ) -> None:
-    room = frame_room(chain, evidence)
+    buffers = frame_buffers(chain, evidence)
     units = np.empty(evidence.confidence.shape[1:])
-    for t in range(len(places)):
-        pose_nodes(chain, places[t], turns[t], room.turned, room.centres)
-        place_points(evidence.nodes, evidence.offsets, room.turned, room.centres, room.points)
-        costs[t] = point_cost(evidence, t, room.points, width, units, np.bool_(True))
+    for t in range(len(positions)):
+        pose_nodes(chain, positions[t], rotations[t], buffers.turned, buffers.centres)
+        place_points(evidence.nodes, evidence.offsets, buffers.turned, buffers.centres, buffers.points)
+        costs[t] = point_cost(evidence, t, buffers.points, width, units, np.bool_(True))
 
 
 @njit(cache=True, nogil=True)
-def add_points(chain: ChainArrays, nodes: I64, room: FrameRoom, gradient: F64) -> None:
+def add_points(chain: ChainArrays, nodes: I64, buffers: FrameBuffers, gradient: F64) -> None:
     """Add JᵀAJ and Jᵀb of all points to H and g of a frame.
 
     Parameters
@@ -484,14 +493,16 @@ def add_points(chain: ChainArrays, nodes: I64, room: FrameRoom, gradient: F64) -
         The body.
     nodes : int64 array (P,)
         The node that moves each point.
-    room : FrameRoom
+    buffers : FrameRoom
         The arrays of the frame with its nodes, and the points with A, symmetric, and b of each; the lower half of H is
         added to.
     gradient : float64 array (parameters,)
         g.
     """
-    turned, centres, hessian = room.turned, room.centres, room.hessian
-    forces, mixed, moments, wrenches = _sums(chain, centres[0], nodes, room.points, room.matrices, room.vectors)
+    turned, centres, hessian = buffers.turned, buffers.centres, buffers.hessian
+    forces, mixed, moments, wrenches = _sums(
+        chain, centres[0], nodes, buffers.points, buffers.matrices, buffers.vectors
+    )
     for i in range(PLACES):
         gradient[i] += wrenches[0, i]
         for j in range(i + 1):

@@ -12,7 +12,7 @@ from kinedex.ops.body.facing_direction import mirrored_names
 from kinedex.ops.body.kinematic_chain import ChainBody, KinematicChain
 from kinedex.ops.errors import KinedexError, ParameterError, Remedy
 
-LEAST_CAMERAS = 3
+MIN_CAMERAS = 3
 """Number of cameras that must see both ends of a bone in a frame; 2 if no frame has three."""
 
 UNEVEN = 1.1
@@ -136,8 +136,8 @@ def estimate_body(
     frames, count = cameras.shape
     if points.shape != (frames, count, 3) or joints.shape != (count,):
         raise ParameterError("points", f"of shape ({frames}, {len(joints)}, 3)", points.shape)
-    least, places = _places(chain, points, cameras, joints)
-    trunk_m = _trunk(chain, places, least)
+    least, positions = _places(chain, points, cameras, joints)
+    trunk_m = _trunk(chain, positions, least)
     mean = {name: float(np.sqrt((archive_mean.offsets[j] ** 2).sum())) for j, name in enumerate(chain.joints)}
     # at rest the shoulders are as high as the neck
     rest = (
@@ -149,12 +149,12 @@ def estimate_body(
     share = trunk_m / rest
     offsets = share * archive_mean.offsets
     for pair in (("lhip", "rhip"), ("lshoulder", "rshoulder")):
-        width, _ = _median_length(places, *pair)
+        width, _ = _median_length(positions, *pair)
         for name in pair:
             offsets[chain.joint(name), 0] = np.sign(offsets[chain.joint(name), 0]) * 0.5 * width
     sides, scaled = [], [name for name in chain.joints if name[1:] not in {*_LIMBS[0], *_LIMBS[1], "hip", "shoulder"}]
     for limb in _LIMBS:
-        bones = [_sides(chain, places, bone) for bone in limb]
+        bones = [_sides(chain, positions, bone) for bone in limb]
         lengths = _limb_lengths(limb, bones, mean, share)
         for bone, found in zip(limb, bones, strict=True):
             for name in (f"l{bone}", f"r{bone}"):
@@ -176,7 +176,7 @@ def _places(chain: KinematicChain, points: F64, cameras: I64, joints: I64) -> tu
     if missing:
         raise ParameterError("joints", "with both hips and both shoulders", f"none that is {missing[0]}")
     together = cameras[:, [columns[joint] for joint in trunk]].min(axis=1)
-    least = LEAST_CAMERAS if (together >= LEAST_CAMERAS).any() else 2
+    least = MIN_CAMERAS if (together >= MIN_CAMERAS).any() else 2
     if not (together >= least).any():
         message = "hips and shoulders seen together by two cameras in a frame at least"
         raise ParameterError("points", message, "none; give `body: <take>`, a take of the person in the archive")
@@ -184,9 +184,9 @@ def _places(chain: KinematicChain, points: F64, cameras: I64, joints: I64) -> tu
     return least, {chain.joints[joint]: seen[:, p] for joint, p in columns.items()}
 
 
-def _trunk(chain: KinematicChain, places: dict[str, F64], least: int) -> float:
+def _trunk(chain: KinematicChain, positions: dict[str, F64], least: int) -> float:
     """Return the distance between the midpoints of hips and shoulders; raise an error if it is implausible."""
-    apart = 0.5 * (places["lshoulder"] + places["rshoulder"] - places["lhip"] - places["rhip"])
+    apart = 0.5 * (positions["lshoulder"] + positions["rshoulder"] - positions["lhip"] - positions["rhip"])
     found = float(np.nanmedian(np.sqrt((apart**2).sum(axis=1))))
     if TRUNK_M[0] <= found <= TRUNK_M[1]:
         return found
@@ -201,19 +201,19 @@ def _trunk(chain: KinematicChain, places: dict[str, F64], least: int) -> float:
     )
 
 
-def _median_length(places: dict[str, F64], one: str, other: str) -> tuple[float, int]:
+def _median_length(positions: dict[str, F64], one: str, other: str) -> tuple[float, int]:
     """Return the median distance of two joints, NaN if they are never seen together, and the number of frames."""
-    if one not in places or other not in places:
+    if one not in positions or other not in positions:
         return np.nan, 0
-    lengths = np.sqrt(((places[one] - places[other]) ** 2).sum(axis=1))
+    lengths = np.sqrt(((positions[one] - positions[other]) ** 2).sum(axis=1))
     lengths = lengths[np.isfinite(lengths)]
     return (float(np.median(lengths)), len(lengths)) if len(lengths) else (np.nan, 0)
 
 
-def _sides(chain: KinematicChain, places: dict[str, F64], bone: str) -> SideLengths | None:
+def _sides(chain: KinematicChain, positions: dict[str, F64], bone: str) -> SideLengths | None:
     """Return the lengths of a bone on both sides; None if no keypoints determine it."""
     (left, count), (right, counted) = (
-        _median_length(places, f"{side}{bone}", chain.joints[chain.rest[chain.joint(f"{side}{bone}")].start])
+        _median_length(positions, f"{side}{bone}", chain.joints[chain.rest[chain.joint(f"{side}{bone}")].start])
         for side in "lr"
     )
     counts = [number for number in (count, counted) if number]

@@ -20,8 +20,8 @@ from kinedex.ops.arrays import F64, I64, U8, Bool
 from kinedex.ops.body.capsules import Capsules
 from kinedex.ops.body.kinematic_chain import ChainArrays, ChainBody, point_jacobian
 from kinedex.ops.errors import ParameterError
-from kinedex.ops.tracking.blocks import FrameRoom, add_point
-from kinedex.ops.tracking.observations import LEAST_CONFIDENCE, BodyPoints, Places, Rays
+from kinedex.ops.tracking.blocks import FrameBuffers, add_point
+from kinedex.ops.tracking.observations import MIN_CONFIDENCE, BodyPoints, JointPositions, Rays
 from kinedex.ops.tracking.views import View, capsule_box, mask_pixel, ray_distance, seen_joints
 
 SPACING_M = 0.03
@@ -115,7 +115,7 @@ class Observed:
 
     body: ChainBody
     rate_hz: float
-    observations: Rays | Places | None
+    observations: Rays | JointPositions | None
     points: BodyPoints | None = None
     silhouettes: Silhouettes | None = None
     cuts: tuple[int, ...] = ()
@@ -126,7 +126,7 @@ class Observed:
         if isinstance(self.observations, Rays):
             return len(self.observations.confidence)
         if self.observations is not None:
-            return len(self.observations.places)
+            return len(self.observations.positions)
         assert self.silhouettes is not None
         return len(self.silhouettes.masks)
 
@@ -135,9 +135,9 @@ class Observed:
         """The frames that have any observation, bool (T,)."""
         seen = np.zeros(self.frames, np.bool_)
         if isinstance(self.observations, Rays):
-            seen |= (self.observations.confidence >= LEAST_CONFIDENCE).any(axis=(1, 2))
+            seen |= (self.observations.confidence >= MIN_CONFIDENCE).any(axis=(1, 2))
         elif self.observations is not None:
-            seen |= np.isfinite(self.observations.places.sum(axis=2)).any(axis=1)
+            seen |= np.isfinite(self.observations.positions.sum(axis=2)).any(axis=1)
         if self.silhouettes is not None:
             masks = self.silhouettes.masks
             seen |= [any(mask is not None and mask.any() for mask in masks[t]) for t in range(len(masks))]
@@ -168,7 +168,7 @@ class Contours(NamedTuple):
     shifts: F64
 
 
-def contour_room(capsules: Capsules, joints: F64) -> Contours:
+def contour_buffers(capsules: Capsules, joints: F64) -> Contours:
     """Allocate arrays for all contour points of a body with joints (J, 3) in one camera."""
     bones = joints[capsules.ends] - joints[capsules.starts]
     lengths = np.sqrt((bones * bones).sum(axis=1))
@@ -223,7 +223,7 @@ def find_contours(view: View, mask: U8, joints: F64, capsules: Capsules, found: 
     capsules : Capsules
         The surface of the body.
     found : Contours
-        Out: the correspondences, see `contour_room`.
+        Out: the correspondences, see `contour_buffers`.
 
     Returns
     -------
@@ -464,7 +464,7 @@ def sums_cost(sums: ContourSums, joints: F64) -> float:
 
 
 @njit(cache=True, nogil=True)
-def add_sums(chain: ChainArrays, sums: ContourSums, joints: F64, room: FrameRoom, gradient: F64) -> float:
+def add_sums(chain: ChainArrays, sums: ContourSums, joints: F64, buffers: FrameBuffers, gradient: F64) -> float:
     """Add the correspondences to H and g of a frame, and return their cost.
 
     Parameters
@@ -475,7 +475,7 @@ def add_sums(chain: ChainArrays, sums: ContourSums, joints: F64, room: FrameRoom
         The sums of the correspondences.
     joints : float64 array (J, 3)
         The joints of the pose in metres.
-    room : FrameRoom
+    buffers : FrameRoom
         The arrays of a frame, with the nodes of the pose; its H is added to.
     gradient : float64 array (P,)
         The vector g of the P parameters of the pose, which is added to.
@@ -486,7 +486,7 @@ def add_sums(chain: ChainArrays, sums: ContourSums, joints: F64, room: FrameRoom
         The cost, as `sums_cost` returns it.
     """
     capsules, moves, vectors = sums.capsules, joints - sums.joints, sums.vectors.copy()
-    others = np.empty_like(room.columns)
+    others = np.empty_like(buffers.columns)
     for n in range(len(capsules.radii)):
         start, end = capsules.starts[n], capsules.ends[n]
         if sums.mixed[n, 0, 0] + sums.mixed[n, 1, 1] + sums.mixed[n, 2, 2] <= 0.0:
@@ -495,16 +495,18 @@ def add_sums(chain: ChainArrays, sums: ContourSums, joints: F64, room: FrameRoom
             for a in range(3):
                 vectors[start, i] += sums.mixed[n, i, a] * moves[end, a]
                 vectors[end, i] += sums.mixed[n, i, a] * moves[start, a]
-        one = point_jacobian(chain, room.turned, room.centres, chain.joint_nodes[start], joints[start], room.columns)
-        other = point_jacobian(chain, room.turned, room.centres, chain.joint_nodes[end], joints[end], others)
-        _add_mixed(room.columns, one, others, other, sums.mixed[n], room.hessian)
+        one = point_jacobian(
+            chain, buffers.turned, buffers.centres, chain.joint_nodes[start], joints[start], buffers.columns
+        )
+        other = point_jacobian(chain, buffers.turned, buffers.centres, chain.joint_nodes[end], joints[end], others)
+        _add_mixed(buffers.columns, one, others, other, sums.mixed[n], buffers.hessian)
     for j in range(len(joints)):
         if sums.matrices[j, 0, 0] + sums.matrices[j, 1, 1] + sums.matrices[j, 2, 2] <= 0.0:
             continue
         for i in range(3):
             for a in range(3):
                 vectors[j, i] += sums.matrices[j, i, a] * moves[j, a]
-        add_point(chain, room, chain.joint_nodes[j], joints[j], sums.matrices[j], vectors[j], gradient)
+        add_point(chain, buffers, chain.joint_nodes[j], joints[j], sums.matrices[j], vectors[j], gradient)
     return sums_cost(sums, joints)
 
 

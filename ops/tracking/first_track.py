@@ -9,12 +9,12 @@ import numpy as np
 from kinedex.ops.body.kinematic_chain import ChainBody, Poses
 from kinedex.ops.errors import ParameterError
 from kinedex.ops.tracking.contours import Observed
-from kinedex.ops.tracking.observations import BodyPoints, Places, Rays
+from kinedex.ops.tracking.observations import BodyPoints, JointPositions, Rays
 from kinedex.ops.tracking.rays import SIGMA_PX
 from kinedex.ops.tracking.take_tracker import SCHEDULE, Loss, TakeTrack, track_take
 from kinedex.ops.tracking.triangulation import (
-    LEAST_CONFIDENCE,
-    start_from_places,
+    MIN_CONFIDENCE,
+    start_from_positions,
     start_from_triangulation,
     triangulate,
 )
@@ -73,7 +73,7 @@ def first_track(observed: Observed, loss: Loss = "geman_mcclure", sigma_px: floa
 
 
 def find_start(
-    body: ChainBody, observations: Rays | Places, points: BodyPoints | None, sigma_px: float = SIGMA_PX
+    body: ChainBody, observations: Rays | JointPositions, points: BodyPoints | None, sigma_px: float = SIGMA_PX
 ) -> Poses:
     """Return initial poses of a track: the chain fitted to points, interpolated where they are not reliable.
 
@@ -96,15 +96,15 @@ def find_start(
     ParameterError
         The points do not fit the observations, or a hip or a shoulder is seen nowhere.
     """
-    if isinstance(observations, Places):
-        start = start_from_places(body, observations)
+    if isinstance(observations, JointPositions):
+        start = start_from_positions(body, observations)
     elif points is None:
         raise ParameterError("points", "the points that the rays observe", None)
     else:
-        places, cameras = triangulate(observations)
-        given = (observations.confidence >= LEAST_CONFIDENCE).sum(axis=1)
+        positions, cameras = triangulate(observations)
+        given = (observations.confidence >= MIN_CONFIDENCE).sum(axis=1)
         agreed = 2 * cameras > given
         agreed |= ~agreed.any(axis=0)  # a keypoint without a majority in any frame keeps all of its points
-        places[~agreed] = np.nan
-        start = start_from_triangulation(body, places, points)
+        positions[~agreed] = np.nan
+        start = start_from_triangulation(body, positions, points)
     return restart(body, start, trust(body, observations, points, start, sigma_px).nodes_seen)

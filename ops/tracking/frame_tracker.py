@@ -28,11 +28,11 @@ from kinedex.ops.body.pose_fit import solve_step
 from kinedex.ops.copies import copy_row, copy_table
 from kinedex.ops.errors import ParameterError
 from kinedex.ops.tracking.blocks import (
-    FrameRoom,
+    FrameBuffers,
     PriorArrays,
     TrackProblem,
+    frame_buffers,
     frame_cost,
-    frame_room,
     frame_terms,
     place_points,
     prior_arrays,
@@ -43,14 +43,14 @@ from kinedex.ops.tracking.contours import (
     Observed,
     add_contours,
     add_sums,
-    contour_room,
+    contour_buffers,
     contour_sums,
     find_contours,
     sums_cost,
 )
-from kinedex.ops.tracking.observations import Places, PriorTerms, Rays
+from kinedex.ops.tracking.observations import JointPositions, PriorTerms, Rays
 from kinedex.ops.tracking.rays import SIGMA_PX, make_evidence, point_cost
-from kinedex.ops.tracking.triangulation import start_from_places, start_from_triangulation, triangulate
+from kinedex.ops.tracking.triangulation import start_from_positions, start_from_triangulation, triangulate
 from kinedex.ops.tracking.views import View, count_overlap
 
 STEPS = 10
@@ -64,13 +64,13 @@ START_RAD = 0.12
 priors.
 """
 
-LEAST_CONTOURS = 30
+MIN_CONTOURS = 30
 """Minimum number of correspondences with silhouettes; with fewer a frame is lost."""
 
-LEAST_FOUND = 0.5
+MIN_FOUND = 0.5
 """Minimum fraction of the visible contour that must find a boundary; below it a frame is lost."""
 
-LEAST_RAYS, LEAST_PLACES = 12, 4
+MIN_RAYS, MIN_PLACES = 12, 4
 """Minimum numbers of rays and of joint positions without silhouettes; with fewer a frame is lost."""
 
 FASTEST_M_S = 9.0
@@ -148,18 +148,18 @@ def track_frames(
     body, frames = observed.body, _Frames(observed, priors, sigma_px)
     if first is None:
         first = _first_pose(observed)
-    if first.places.shape != (1, 3) or first.turns.shape != (1, len(body.chain.nodes), 3, 3):
-        raise ParameterError("first", f"one pose of {len(body.chain.nodes)} nodes", first.turns.shape)
+    if first.positions.shape != (1, 3) or first.rotations.shape != (1, len(body.chain.nodes), 3, 3):
+        raise ParameterError("first", f"one pose of {len(body.chain.nodes)} nodes", first.rotations.shape)
     count = frames.count
-    poses = Poses(np.empty((count, 3)), np.empty((count, *first.turns.shape[1:])))
+    poses = Poses(np.empty((count, 3)), np.empty((count, *first.rotations.shape[1:])))
     costs, lost = np.zeros(count), np.zeros(count, np.bool_)
     contours, shifts = np.zeros(count, np.int64), np.full(count, np.nan)
     differences = np.full(count, np.nan)
-    place, turns = first.places[0].copy(), first.turns[0].copy()
-    state = _State(place, turns, np.zeros(3), np.zeros((len(turns), 3)), _Fit(place, turns))
+    place, rotations = first.positions[0].copy(), first.rotations[0].copy()
+    state = _State(place, rotations, np.zeros(3), np.zeros((len(rotations), 3)), _Fit(place, rotations))
     for t in range(count):
         state = frames.track(t, state)
-        poses.places[t], poses.turns[t] = state.place, state.turns
+        poses.positions[t], poses.rotations[t] = state.place, state.rotations
         fit = state.fit
         costs[t], lost[t], contours[t] = fit.cost, state.frames_lost > 0, fit.contours
         shifts[t], differences[t] = fit.shift_px, fit.difference
@@ -176,12 +176,12 @@ def _first_pose(observed: Observed) -> Poses:
     body, observations, points = observed.body, observed.observations, observed.points
     if observations is None:
         raise ParameterError("first", "a pose, which silhouettes alone do not give", None)
-    if isinstance(observations, Places):
-        start = start_from_places(body, observations)
+    if isinstance(observations, JointPositions):
+        start = start_from_positions(body, observations)
     else:
         assert points is not None  # which `make_evidence` has already checked
         start = start_from_triangulation(body, triangulate(observations)[0], points)
-    return Poses(start.places[:1], start.turns[:1])
+    return Poses(start.positions[:1], start.rotations[:1])
 
 
 @dataclass(eq=False)
@@ -189,7 +189,7 @@ class _Fit:
     """The fitted pose of a frame, with measures of the fit."""
 
     place: F64
-    turns: F64
+    rotations: F64
     cost: float = 0.0
     contours: int = 0
     share: float = 0.0
@@ -202,7 +202,7 @@ class _State:
     """The pose of a frame and its velocity per frame."""
 
     place: F64
-    turns: F64
+    rotations: F64
     moved: F64  # (3,) metres
     turned: F64  # (K, 3) rotation vectors
     fit: _Fit
@@ -223,7 +223,7 @@ class _Frames:
             if silhouettes is None:
                 raise ParameterError("observations", "rays or places, unless there are silhouettes", None)
             frames = len(silhouettes.masks)
-            observations = Places(np.full((frames, joints, 3), np.nan), np.ones((frames, joints)))
+            observations = JointPositions(np.full((frames, joints, 3), np.nan), np.ones((frames, joints)))
         counts = observations.confidence if isinstance(observations, Rays) else observations.sigma_m
         self.count = len(counts)
         if silhouettes is not None and len(silhouettes.masks) != self.count:
@@ -236,41 +236,41 @@ class _Frames:
         self.priors = arrays._replace(turn_targets=targets, turn_weights=weights)
         self.no_priors = prior_arrays(body, None, self.count)
         self.longest_step_m = FASTEST_M_S / rate_hz
-        self.room = frame_room(body.arrays, self.evidence)
+        self.buffers = frame_buffers(body.arrays, self.evidence)
         self.units = np.zeros((len(self.evidence.centres), len(self.evidence.nodes)))
         none = Capsules(np.zeros(0, np.int64), np.zeros(0, np.int64), np.zeros(0))
         self.capsules = none if silhouettes is None else silhouettes.capsules
         self.sums = contour_sums(self.capsules, joints)
         if silhouettes is not None:
             # in the rest pose lines between joints are longest, so its contour needs the most points
-            self.contours = contour_room(self.capsules, rest_joints(body))
+            self.contours = contour_buffers(self.capsules, rest_joints(body))
 
     def track(self, t: int, last: _State) -> _State:
         """Return the state of frame t, tracked from the state of the frame before."""
         if self.silhouettes is None:
-            fit, masks = _Fit(last.place.copy(), last.turns.copy()), []
-            fit.cost = self._solve(t, fit.place, fit.turns, STEPS, self.priors)
+            fit, masks = _Fit(last.place.copy(), last.rotations.copy()), []
+            fit.cost = self._solve(t, fit.place, fit.rotations, STEPS, self.priors)
         else:
             masks = self.silhouettes.seen(t)
             fit = self._best_fit(t, masks, last)
         step = fit.place - last.place
-        seen = (fit.contours >= LEAST_CONTOURS and fit.share >= LEAST_FOUND) or self._sees(t)
+        seen = (fit.contours >= MIN_CONTOURS and fit.share >= MIN_FOUND) or self._sees(t)
         # the greatest plausible distance since the last frame that was not lost
         longest = self.longest_step_m * (1 + last.frames_lost)
         if not seen or not np.sqrt(step @ step) <= longest:
-            still = self._centred(masks, last.place, last.turns)
+            still = self._centred(masks, last.place, last.rotations)
             none = np.zeros_like(last.moved), np.zeros_like(last.turned)
-            return _State(still, last.turns, *none, fit, last.frames_lost + 1)
-        turned = np.stack([vector_of(turn) for turn in last.turns.transpose(0, 2, 1) @ fit.turns])
+            return _State(still, last.rotations, *none, fit, last.frames_lost + 1)
+        turned = np.stack([vector_of(turn) for turn in last.rotations.transpose(0, 2, 1) @ fit.rotations])
         if last.frames_lost:
             step, turned = np.zeros_like(step), np.zeros_like(turned)
-        return _State(fit.place, fit.turns, step, turned, fit, 0)
+        return _State(fit.place, fit.rotations, step, turned, fit, 0)
 
     def _best_fit(self, t: int, masks: list[tuple[View, U8]], last: _State) -> _Fit:
         """Return the fit to silhouettes with priors, or without them if the masks then fit much better."""
         priors = self.priors
         place = last.place + last.moved
-        moved = last.turns @ np.stack([rotation_of(_CARRIED * vector) for vector in last.turned])
+        moved = last.rotations @ np.stack([rotation_of(_CARRIED * vector) for vector in last.turned])
         plain = self._fit(t, masks, place, moved, self.no_priors)
         own = (priors.turn_weights[t] > 0.0).any(axis=1)
         if not own.any() and priors.tilt_weights[t] <= 0.0 and priors.place_starts[t] == priors.place_starts[t + 1]:
@@ -283,23 +283,23 @@ class _Frames:
         best = min(fits, key=lambda fit: fit.difference)
         return plain if best.difference > WORSE * plain.difference else best
 
-    def _fit(self, t: int, masks: list[tuple[View, U8]], place: F64, turns: F64, priors: PriorArrays) -> _Fit:
+    def _fit(self, t: int, masks: list[tuple[View, U8]], place: F64, rotations: F64, priors: PriorArrays) -> _Fit:
         """Fit the pose of a frame to silhouettes; nodes without a prior are pulled to the initial pose."""
         free = priors.turn_weights[t].max(axis=1) <= 0.0
         targets, weights = priors.turn_targets[t].copy(), priors.turn_weights[t].copy()
-        priors.turn_targets[t, free], priors.turn_weights[t, free] = turns[free], START_RAD**-2.0
-        fit = _Fit(place.copy(), turns.copy())
+        priors.turn_targets[t, free], priors.turn_weights[t, free] = rotations[free], START_RAD**-2.0
+        fit = _Fit(place.copy(), rotations.copy())
         for _ in range(PASSES):
-            fit.contours, fit.share, fit.shift_px, contour_cost = self._find(masks, fit.place, fit.turns)
-            fit.cost = self._solve(t, fit.place, fit.turns, PASS_STEPS, priors) + contour_cost
+            fit.contours, fit.share, fit.shift_px, contour_cost = self._find(masks, fit.place, fit.rotations)
+            fit.cost = self._solve(t, fit.place, fit.rotations, PASS_STEPS, priors) + contour_cost
         priors.turn_targets[t], priors.turn_weights[t] = targets, weights
-        fit.difference = self._difference(masks, fit.place, fit.turns)
+        fit.difference = self._difference(masks, fit.place, fit.rotations)
         return fit
 
-    def _difference(self, masks: list[tuple[View, U8]], place: F64, turns: F64) -> float:
+    def _difference(self, masks: list[tuple[View, U8]], place: F64, rotations: F64) -> float:
         """Return the pixels that are either body or foreground, relative to the foreground; NaN without masks."""
-        pose_nodes(self.body.arrays, place, turns, self.room.turned, self.room.centres)
-        pose_joints(self.body.arrays, self.room.turned, self.room.centres, self.sums.joints)
+        pose_nodes(self.body.arrays, place, rotations, self.buffers.turned, self.buffers.centres)
+        pose_joints(self.body.arrays, self.buffers.turned, self.buffers.centres, self.sums.joints)
         apart, foreground = 0, 0
         for view, mask in masks:
             own, common = count_overlap(self.capsules, self.sums.joints, view, mask)
@@ -307,11 +307,11 @@ class _Frames:
             apart, foreground = apart + pixels + own - 2 * common, foreground + pixels
         return apart / foreground if foreground else np.nan
 
-    def _find(self, masks: list[tuple[View, U8]], place: F64, turns: F64) -> tuple[int, float, float, float]:
+    def _find(self, masks: list[tuple[View, U8]], place: F64, rotations: F64) -> tuple[int, float, float, float]:
         """Find the correspondences of a pose; return their number, share of the contour, mean shift and cost."""
         capsules, sums = self.capsules, self.sums
-        pose_nodes(self.body.arrays, place, turns, self.room.turned, self.room.centres)
-        pose_joints(self.body.arrays, self.room.turned, self.room.centres, sums.joints)
+        pose_nodes(self.body.arrays, place, rotations, self.buffers.turned, self.buffers.centres)
+        pose_joints(self.body.arrays, self.buffers.turned, self.buffers.centres, sums.joints)
         sums.matrices[:], sums.vectors[:], sums.mixed[:] = 0.0, 0.0, 0.0
         total, contour, shifts, cost = 0, 0, 0.0, 0.0
         for view, mask in masks:
@@ -321,27 +321,27 @@ class _Frames:
             shifts += float(np.abs(self.contours.shifts[:count]).sum())
         return (total, total / contour, shifts / total, cost) if total else (0, 0.0, np.nan, 0.0)
 
-    def _solve(self, t: int, place: F64, turns: F64, steps: int, priors: PriorArrays) -> float:
+    def _solve(self, t: int, place: F64, rotations: F64, steps: int, priors: PriorArrays) -> float:
         """Minimise the cost of a frame in place; return the squared residuals of rays and positions."""
-        evidence, room = self.evidence, self.room
+        evidence, buffers = self.evidence, self.buffers
         problem = TrackProblem(self.body.arrays, evidence, priors)
-        _solve_frame(problem, self.sums, t, place, turns, steps, self.units, room)
-        pose_nodes(problem.chain, place, turns, room.turned, room.centres)
-        place_points(evidence.nodes, evidence.offsets, room.turned, room.centres, room.points)
-        return point_cost(evidence, t, room.points, np.inf, self.units, True)
+        _solve_frame(problem, self.sums, t, place, rotations, steps, self.units, buffers)
+        pose_nodes(problem.chain, place, rotations, buffers.turned, buffers.centres)
+        place_points(evidence.nodes, evidence.offsets, buffers.turned, buffers.centres, buffers.points)
+        return point_cost(evidence, t, buffers.points, np.inf, self.units, True)
 
     def _sees(self, t: int) -> bool:
         """Minimise the cost of a frame, updating its pose in place; return the squared residuals of observations."""
         rays = np.count_nonzero(self.evidence.confidence[t] > 0)
-        places = np.isfinite(self.evidence.places[t]).all(axis=1).sum() if len(self.evidence.places) else 0
-        return bool(rays >= LEAST_RAYS or places >= LEAST_PLACES)
+        positions = np.isfinite(self.evidence.positions[t]).all(axis=1).sum() if len(self.evidence.positions) else 0
+        return bool(rays >= MIN_RAYS or positions >= MIN_PLACES)
 
-    def _centred(self, masks: list[tuple[View, U8]], place: F64, turns: F64) -> F64:
+    def _centred(self, masks: list[tuple[View, U8]], place: F64, rotations: F64) -> F64:
         """Return the root position that puts the middle of the body where the rays of the masks' centroids meet."""
         if len(masks) < 2:
             return place
         capsules = self.capsules
-        joints = forward(self.body, Poses(place[None], turns[None]))[0][:, :, 0]
+        joints = forward(self.body, Poses(place[None], rotations[None]))[0][:, :, 0]
         one, other = joints[capsules.starts], joints[capsules.ends]
         areas = capsules.radii * np.sqrt(((other - one) ** 2).sum(axis=1))
         middle = (areas[:, None] * 0.5 * (one + other)).sum(axis=0) / areas.sum()
@@ -360,26 +360,33 @@ class _Frames:
 
 @njit(cache=True, nogil=True)
 def _solve_frame(
-    problem: TrackProblem, sums: ContourSums, t: int, place: F64, turns: F64, steps: int, units: F64, room: FrameRoom
+    problem: TrackProblem,
+    sums: ContourSums,
+    t: int,
+    place: F64,
+    rotations: F64,
+    steps: int,
+    units: F64,
+    buffers: FrameBuffers,
 ) -> None:
     """Take steps of Levenberg's method from the pose of a frame, in place, as long as the cost decreases."""
     chain = problem.chain
     size = PLACES + len(chain.axis_nodes)
     gradient, step, damped = np.empty(size), np.empty(size), np.empty((size, size))
-    new_place, new_turns, joints = np.empty_like(place), np.empty_like(turns), np.empty_like(sums.joints)
+    new_place, new_turns, joints = np.empty_like(place), np.empty_like(rotations), np.empty_like(sums.joints)
     damping, fresh, cost = _DAMPING, True, 0.0
     for _ in range(steps):
         if fresh:
-            cost = frame_terms(problem, t, place, turns, np.inf, units, room, gradient)
-            pose_joints(chain, room.turned, room.centres, joints)
-            cost += add_sums(chain, sums, joints, room, gradient)
-        copy_table(damped, room.hessian)
+            cost = frame_terms(problem, t, place, rotations, np.inf, units, buffers, gradient)
+            pose_joints(chain, buffers.turned, buffers.centres, joints)
+            cost += add_sums(chain, sums, joints, buffers, gradient)
+        copy_table(damped, buffers.hessian)
         for i in range(size):
-            damped[i, i] += damping * room.hessian[i, i] + _STIFF
+            damped[i, i] += damping * buffers.hessian[i, i] + _STIFF
         solve_step(damped, gradient, step)
-        take_step(chain, place, turns, step, new_place, new_turns)
-        new = frame_cost(problem, t, new_place, new_turns, np.inf, units, room)
-        pose_joints(chain, room.turned, room.centres, joints)
+        take_step(chain, place, rotations, step, new_place, new_turns)
+        new = frame_cost(problem, t, new_place, new_turns, np.inf, units, buffers)
+        pose_joints(chain, buffers.turned, buffers.centres, joints)
         new += sums_cost(sums, joints)
         fresh = new < cost
         if not fresh:
@@ -387,7 +394,7 @@ def _solve_frame(
             continue
         damping *= _EASED
         copy_row(place, new_place)
-        for node in range(len(turns)):
-            copy_table(turns[node], new_turns[node])
+        for node in range(len(rotations)):
+            copy_table(rotations[node], new_turns[node])
         if cost - new <= _TOLERANCE * abs(cost):
             break

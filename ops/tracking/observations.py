@@ -16,7 +16,7 @@ from kinedex.ops.errors import ParameterError
 if TYPE_CHECKING:
     pass
 
-LEAST_CONFIDENCE = 0.1
+MIN_CONFIDENCE = 0.1
 """Confidence below which a keypoint counts as not seen."""
 
 
@@ -75,23 +75,23 @@ class Rays:
 
 
 @dataclass(frozen=True, eq=False)
-class Places:
+class JointPositions:
     """Positions of joints, from a track of another program or from a take.
 
     Attributes
     ----------
-    places : float64 array (T, J, 3)
+    positions : float64 array (T, J, 3)
         Joints of the chain in metres, Y up; NaN where a joint was not tracked.
     sigma_m : float64 array (T, J)
         Standard deviation of each position in metres.
     """
 
-    places: F64
+    positions: F64
     sigma_m: F64
 
     def __post_init__(self) -> None:
-        if self.places.shape != (*self.sigma_m.shape, 3):
-            raise ParameterError("places", f"of shape {(*self.sigma_m.shape, 3)}", self.places.shape)
+        if self.positions.shape != (*self.sigma_m.shape, 3):
+            raise ParameterError("places", f"of shape {(*self.sigma_m.shape, 3)}", self.positions.shape)
 
 
 @dataclass(frozen=True, eq=False)

@@ -19,19 +19,19 @@ from numba import njit
 from kinedex.ops.arrays import F64, I64, Bool
 from kinedex.ops.body.kinematic_chain import ChainBody
 from kinedex.ops.errors import ParameterError
-from kinedex.ops.tracking.observations import LEAST_CONFIDENCE, BodyPoints, Places, Rays
+from kinedex.ops.tracking.observations import MIN_CONFIDENCE, BodyPoints, JointPositions, Rays
 
 SIGMA_PX = 5.0
 """Standard deviation of a keypoint in pixels."""
 
-LEAST_DEPTH_M = 0.3
+MIN_DEPTH_M = 0.3
 """Minimum depth in metres; points nearer to the camera, or behind it, are treated as if at this depth."""
 
 
 class Evidence(NamedTuple):
     """Observations of points of a body, as arrays for compiled functions.
 
-    For rays `places` is empty; for places V is 0.
+    For rays `positions` is empty; for places V is 0.
 
     Attributes
     ----------
@@ -44,10 +44,10 @@ class Evidence(NamedTuple):
     directions : float64 array (T, V, P, 3)
         Unit vectors of the rays.
     confidence : float64 array (T, V, P)
-        Confidence; 0 where it is below `LEAST_CONFIDENCE`.
+        Confidence; 0 where it is below `MIN_CONFIDENCE`.
     scales : float64 array (V,)
         f/σ_px of each camera: over the depth, the factor that turns metres into units of noise.
-    places : float64 array (T, P, 3), or (0, 0, 3)
+    positions : float64 array (T, P, 3), or (0, 0, 3)
         Places of the points, NaN where there is none.
     precisions : float64 array (T, P), or (0, 0)
         1/σ of each place, per metre.
@@ -59,12 +59,12 @@ class Evidence(NamedTuple):
     directions: F64
     confidence: F64
     scales: F64
-    places: F64
+    positions: F64
     precisions: F64
 
 
 def make_evidence(
-    body: ChainBody, observations: Rays | Places, points: BodyPoints | None, sigma_px: float = SIGMA_PX
+    body: ChainBody, observations: Rays | JointPositions, points: BodyPoints | None, sigma_px: float = SIGMA_PX
 ) -> Evidence:
     """Return observations as arrays for compiled functions.
 
@@ -86,14 +86,14 @@ def make_evidence(
     """
     if not (np.isfinite(sigma_px) and sigma_px > 0):
         raise ParameterError("sigma_px", "positive and finite", sigma_px)
-    if isinstance(observations, Places):
-        return _place_evidence(body, observations)
+    if isinstance(observations, JointPositions):
+        return _position_evidence(body, observations)
     if points is None or len(points.nodes) != observations.confidence.shape[2]:
         count = observations.confidence.shape[2]
         raise ParameterError("points", f"the {count} points that the rays observe", points and len(points.nodes))
     if len(points.nodes) and not 0 <= points.nodes.min() <= points.nodes.max() < len(body.chain.nodes):
         raise ParameterError("nodes of points", f"from 0 to {len(body.chain.nodes) - 1}", points.nodes.tolist())
-    seen = (observations.confidence >= LEAST_CONFIDENCE) & np.isfinite(observations.directions).all(axis=3)
+    seen = (observations.confidence >= MIN_CONFIDENCE) & np.isfinite(observations.directions).all(axis=3)
     return Evidence(
         np.ascontiguousarray(points.nodes, np.int64),
         np.ascontiguousarray(points.offsets, np.float64),
@@ -106,11 +106,11 @@ def make_evidence(
     )
 
 
-def _place_evidence(body: ChainBody, observations: Places) -> Evidence:
+def _position_evidence(body: ChainBody, observations: JointPositions) -> Evidence:
     frames, joints = observations.sigma_m.shape
     if joints != len(body.chain.joints):
         raise ParameterError("places", f"of the {len(body.chain.joints)} joints of the chain", joints)
-    seen: Bool = np.asarray(np.isfinite(observations.places).all(axis=2))
+    seen: Bool = np.asarray(np.isfinite(observations.positions).all(axis=2))
     if not np.all(observations.sigma_m[seen] > 0):
         raise ParameterError("sigma_m", "positive wherever a place is given", float(observations.sigma_m[seen].min()))
     return Evidence(
@@ -120,7 +120,7 @@ def _place_evidence(body: ChainBody, observations: Places) -> Evidence:
         np.zeros((frames, 0, joints, 3)),
         np.zeros((frames, 0, joints)),
         np.zeros(0),
-        np.ascontiguousarray(np.where(seen[:, :, None], observations.places, np.nan)),
+        np.ascontiguousarray(np.where(seen[:, :, None], observations.positions, np.nan)),
         np.ascontiguousarray(1.0 / np.where(seen, observations.sigma_m, 1.0)),
     )
 
@@ -167,7 +167,7 @@ def point_terms(
             z = points[p, 2] - evidence.centres[v, 2]
             along = x * i + y * j + z * k
             x, y, z = x - along * i, y - along * j, z - along * k
-            unit = (evidence.scales[v] / max(LEAST_DEPTH_M, along)) ** 2
+            unit = (evidence.scales[v] / max(MIN_DEPTH_M, along)) ** 2
             units[v, p] = unit
             square = unit * (x * x + y * y + z * z)
             share = 1.0 / (1.0 + flat * square)
@@ -182,8 +182,8 @@ def point_terms(
             vectors[p, 0] += w * x
             vectors[p, 1] += w * y
             vectors[p, 2] += w * z
-    if len(evidence.places) > 0:
-        total += _add_place_terms(evidence, t, points, flat, matrices, vectors)
+    if len(evidence.positions) > 0:
+        total += _add_position_terms(evidence, t, points, flat, matrices, vectors)
     for p in range(len(points)):
         matrices[p, 0, 1] = matrices[p, 1, 0]
         matrices[p, 0, 2] = matrices[p, 2, 0]
@@ -192,14 +192,14 @@ def point_terms(
 
 
 @njit(cache=True, nogil=True)
-def _add_place_terms(evidence: Evidence, t: int, points: F64, flat: float, matrices: F64, vectors: F64) -> float:
+def _add_position_terms(evidence: Evidence, t: int, points: F64, flat: float, matrices: F64, vectors: F64) -> float:
     total = 0.0
     for p in range(len(points)):
-        x = points[p, 0] - evidence.places[t, p, 0]
+        x = points[p, 0] - evidence.positions[t, p, 0]
         if np.isnan(x):
             continue
-        y = points[p, 1] - evidence.places[t, p, 1]
-        z = points[p, 2] - evidence.places[t, p, 2]
+        y = points[p, 1] - evidence.positions[t, p, 1]
+        z = points[p, 2] - evidence.positions[t, p, 2]
         unit = evidence.precisions[t, p] ** 2
         square = unit * (x * x + y * y + z * z)
         share = 1.0 / (1.0 + flat * square)
@@ -245,15 +245,15 @@ def point_cost(evidence: Evidence, t: int, points: F64, width: float, units: F64
             z = points[p, 2] - evidence.centres[v, 2]
             along = x * i + y * j + z * k
             if fresh:
-                units[v, p] = (evidence.scales[v] / max(LEAST_DEPTH_M, along)) ** 2
+                units[v, p] = (evidence.scales[v] / max(MIN_DEPTH_M, along)) ** 2
             x, y, z = x - along * i, y - along * j, z - along * k
             square = units[v, p] * (x * x + y * y + z * z)
             total += confidence * confidence * square / (1.0 + flat * square)
-    if len(evidence.places) > 0:
+    if len(evidence.positions) > 0:
         for p in range(len(points)):
             square = 0.0
             for a in range(3):
-                square += (points[p, a] - evidence.places[t, p, a]) ** 2
+                square += (points[p, a] - evidence.positions[t, p, a]) ** 2
             square *= evidence.precisions[t, p] ** 2
             if square == square:
                 total += square / (1.0 + flat * square)

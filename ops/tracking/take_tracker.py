@@ -23,8 +23,15 @@ from kinedex.ops.body.kinematic_chain import PLACES, ChainBody, Poses, forward
 from kinedex.ops.errors import ParameterError
 from kinedex.ops.tracking.band import assemble, make_band, move, solve_band, take_cost
 from kinedex.ops.tracking.blocks import TrackProblem, observation_costs, prior_arrays
-from kinedex.ops.tracking.contours import Observed, Silhouettes, add_contours, contour_room, contour_sums, find_contours
-from kinedex.ops.tracking.observations import Places, PriorTerms, no_priors
+from kinedex.ops.tracking.contours import (
+    Observed,
+    Silhouettes,
+    add_contours,
+    contour_buffers,
+    contour_sums,
+    find_contours,
+)
+from kinedex.ops.tracking.observations import JointPositions, PriorTerms, no_priors
 from kinedex.ops.tracking.rays import SIGMA_PX, make_evidence
 
 Loss = Literal["geman_mcclure", "squares"]
@@ -41,7 +48,7 @@ PLACE_M_S2 = 8.0
 WINDOW_FRAMES, OVERLAP_FRAMES = 2000, 60
 """Number of frames that are solved at once, and overlap of two such windows in frames."""
 
-MOST_TRIES, TOLERANCE = 12, 1e-4
+MAX_TRIES, TOLERANCE = 12, 1e-4
 """Maximum number of tries for each c, and the relative decrease of the cost below which a solve has converged."""
 
 # the initial damping, and its factors after an accepted and a rejected step
@@ -50,7 +57,7 @@ _DAMPING, _EASED, _RAISED = 1e-3, 0.2, 10.0
 PASSES = 6
 """Number of times that correspondences with silhouettes are computed for a take."""
 
-_LEAST = 1e-6  # relative eigenvalue below which a joint is not pulled along an eigenvector
+_MIN_EIGENVALUE = 1e-6  # relative eigenvalue below which a joint is not pulled along an eigenvector
 
 
 @dataclass(frozen=True, eq=False)
@@ -115,19 +122,19 @@ def track_take(
     body = observed.body
     evidence = make_evidence(body, observed.observations, observed.points, sigma_px)
     frames = len(evidence.confidence)
-    if frames == 0 or start.turns.shape[0] != frames:
-        raise ParameterError("start", f"a pose for each of the {frames} frames, at least one", start.turns.shape[0])
+    if frames == 0 or start.rotations.shape[0] != frames:
+        raise ParameterError("start", f"a pose for each of the {frames} frames, at least one", start.rotations.shape[0])
     problem = TrackProblem(body.arrays, evidence, prior_arrays(body, priors, frames))
     smoothness = smoothness_weights(body, observed.rate_hz)
     triples = connected_triples(frames, observed.cuts)
-    places, turns = np.array(start.places, np.float64), np.array(start.turns, np.float64)
+    places, rotations = np.array(start.positions, np.float64), np.array(start.rotations, np.float64)
     steps = 0
-    found_places, found_turns = np.empty_like(places), np.empty_like(turns)
+    found_places, found_turns = np.empty_like(places), np.empty_like(rotations)
     for first, stop, low, high in windows(frames):
-        poses = Poses(places[first:stop].copy(), turns[first:stop].copy())
+        poses = Poses(places[first:stop].copy(), rotations[first:stop].copy())
         solved, tries = _solve(problem.window(first, stop), smoothness, triples[first:stop], poses, widths)
-        found_places[low:high] = solved.places[low - first : high - first]
-        found_turns[low:high] = solved.turns[low - first : high - first]
+        found_places[low:high] = solved.positions[low - first : high - first]
+        found_turns[low:high] = solved.rotations[low - first : high - first]
         steps = max(steps, tries)
     poses = Poses(found_places, found_turns)
     positions, _ = forward(body, poses)
@@ -187,7 +194,7 @@ def _solve(
     poses: Poses,
     widths: Sequence[float],
     tolerance: float = TOLERANCE,
-    most: int = MOST_TRIES,
+    most: int = MAX_TRIES,
 ) -> tuple[Poses, int]:
     """Solve one window, and return its poses and the number of steps tried.
 
@@ -201,7 +208,7 @@ def _solve(
     units = np.zeros(evidence.confidence.shape)
     factors = np.empty((len(triples), len(band.coupled), 2 * len(band.coupled) + 1))
     steps = np.empty_like(band.gradient)
-    trial = Poses(np.empty_like(poses.places), np.empty_like(poses.turns))
+    trial = Poses(np.empty_like(poses.positions), np.empty_like(poses.rotations))
     count = 0
     for width, exact in [*((width, False) for width in widths), (widths[-1], True)]:
         damping, fresh, cost = _DAMPING, True, 0.0
@@ -245,27 +252,27 @@ def silhouette_terms(body: ChainBody, poses: Poses, silhouettes: Silhouettes) ->
     positions = np.ascontiguousarray(np.moveaxis(forward(body, poses)[0], 2, 0))
     frames, joints = positions.shape[:2]
     capsules = silhouettes.capsules
-    room, shifts = contour_room(capsules, rest_joints(body)), np.full(frames, np.nan)
+    buffers, shifts = contour_buffers(capsules, rest_joints(body)), np.full(frames, np.nan)
     matrices, vectors = np.zeros((frames, joints, 3, 3)), np.zeros((frames, joints, 3))
     for t in range(frames):
         sums, found = contour_sums(capsules, joints), []
         for view, mask in silhouettes.seen(t):
-            count, _ = find_contours(view, mask, positions[t], capsules, room)
-            add_contours(view, room, count, sums)
-            found.append(np.abs(room.shifts[:count]))
+            count, _ = find_contours(view, mask, positions[t], capsules, buffers)
+            add_contours(view, buffers, count, sums)
+            found.append(np.abs(buffers.shifts[:count]))
         if sum(map(len, found)):
             shifts[t] = np.concatenate(found).mean()
         matrices[t], vectors[t] = sums.matrices, sums.vectors
         # each end of a capsule moves its points alone: an upper bound of the squares without terms of two joints
         np.add.at(matrices[t], capsules.starts, sums.mixed)
         np.add.at(matrices[t], capsules.ends, sums.mixed)
-    return _place_terms(body, positions, matrices, vectors), shifts
+    return _position_terms(body, positions, matrices, vectors), shifts
 
 
-def _place_terms(body: ChainBody, positions: F64, matrices: F64, vectors: F64) -> PriorTerms:
+def _position_terms(body: ChainBody, positions: F64, matrices: F64, vectors: F64) -> PriorTerms:
     """Return the place terms of quadratics moveᵀ A move + 2 bᵀ move of the joints (T, J, 3)."""
     values, axes = np.linalg.eigh(matrices)
-    used = values > _LEAST * values[..., -1:].clip(min=1e-12)
+    used = values > _MIN_EIGENVALUE * values[..., -1:].clip(min=1e-12)
     frames, joints, columns = np.nonzero(used)
     weights = values[used]
     directions = axes[frames, joints, :, columns]
@@ -281,7 +288,7 @@ def _place_terms(body: ChainBody, positions: F64, matrices: F64, vectors: F64) -
     )
 
 
-def with_places(terms: PriorTerms, others: PriorTerms) -> PriorTerms:
+def with_position_terms(terms: PriorTerms, others: PriorTerms) -> PriorTerms:
     """Return terms with the place terms of others added, sorted by frame."""
     frames = np.concatenate([terms.place_frames, others.place_frames])
     order = np.argsort(frames, kind="stable")
@@ -332,16 +339,18 @@ def track_take_on_silhouettes(
     body, silhouettes = observed.body, observed.silhouettes
     if silhouettes is None:
         raise ParameterError("silhouettes", "masks in calibrated cameras", None)
-    frames, joints = len(start.places), len(body.chain.joints)
+    frames, joints = len(start.positions), len(body.chain.joints)
     if len(silhouettes.masks) != frames:
         raise ParameterError("masks", f"those of {frames} frames", len(silhouettes.masks))
     seen = observed
     if observed.observations is None:
-        seen = replace(observed, observations=Places(np.full((frames, joints, 3), np.nan), np.ones((frames, joints))))
+        seen = replace(
+            observed, observations=JointPositions(np.full((frames, joints, 3), np.nan), np.ones((frames, joints)))
+        )
     others = priors or no_priors(frames, len(body.chain.nodes))
     poses = start
     for _ in range(passes):
-        pulls = with_places(others, silhouette_terms(body, poses, silhouettes)[0])
+        pulls = with_position_terms(others, silhouette_terms(body, poses, silhouettes)[0])
         track = track_take(seen, poses, pulls, loss, sigma_px, SCHEDULE[-1:])
         poses = track.poses
     if observed.observations is None:

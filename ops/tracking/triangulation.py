@@ -10,15 +10,15 @@ from kinedex.ops.body.kinematic_chain import ChainBody, Poses
 from kinedex.ops.body.pose_fit import fit_poses
 from kinedex.ops.copies import copy_row
 from kinedex.ops.errors import ParameterError
-from kinedex.ops.tracking.observations import BodyPoints, Places, Rays
+from kinedex.ops.tracking.observations import BodyPoints, JointPositions, Rays
 
-LEAST_CONFIDENCE = 0.3
+MIN_CONFIDENCE = 0.3
 """Minimum confidence of a keypoint that is used in triangulation."""
 
-MOST_ERROR_PX = 20.0
+MAX_ERROR_PX = 20.0
 """Greatest mean reprojection error in pixels of a valid point."""
 
-MOST_CAMERAS = 10
+MAX_CAMERAS = 10
 """Maximum number of cameras for which all subsets are tried; with more, cameras are removed one by one."""
 
 START_SIGMA_M, START_STEPS = 0.05, 15
@@ -32,7 +32,7 @@ def triangulate(rays: Rays) -> tuple[F64, I64]:
     """Triangulate every keypoint of every frame.
 
     A point is the least-squares point of the rays, weighted by confidence. If its mean reprojection error exceeds
-    `MOST_ERROR_PX`, the best subset without one camera is tried, then without two, down to two cameras.
+    `MAX_ERROR_PX`, the best subset without one camera is tried, then without two, down to two cameras.
 
     Parameters
     ----------
@@ -48,7 +48,7 @@ def triangulate(rays: Rays) -> tuple[F64, I64]:
     """
     frames, _, count = rays.confidence.shape
     points, seen = np.full((frames, count, 3), np.nan), np.zeros((frames, count), np.int64)
-    usable = (rays.confidence >= LEAST_CONFIDENCE) & np.isfinite(rays.directions).all(axis=3)
+    usable = (rays.confidence >= MIN_CONFIDENCE) & np.isfinite(rays.directions).all(axis=3)
     _triangulate(
         np.ascontiguousarray(rays.centres, np.float64),
         np.ascontiguousarray(rays.focal_px, np.float64),
@@ -74,7 +74,7 @@ def _triangulate(centres: F64, focal_px: F64, directions: F64, weights: F64, poi
                 if left == len(usable):
                     error = _intersect(centres, focal_px, directions[t, :, p], weights[t, :, p], chosen, nearest)
                     copy_row(best, chosen)
-                elif len(usable) <= MOST_CAMERAS:
+                elif len(usable) <= MAX_CAMERAS:
                     for choice in range(1 << len(usable)):
                         if not _choose(usable, choice, left, chosen):
                             continue
@@ -96,7 +96,7 @@ def _triangulate(centres: F64, focal_px: F64, directions: F64, weights: F64, poi
                             copy_row(best, chosen)
                     if error == np.inf:
                         break
-                if error <= MOST_ERROR_PX:
+                if error <= MAX_ERROR_PX:
                     copy_row(points[t, p], nearest)
                     seen[t, p] = left
                     break
@@ -189,7 +189,7 @@ def start_from_triangulation(body: ChainBody, points: F64, body_points: BodyPoin
     return _fit_start(body, positions)
 
 
-def start_from_places(body: ChainBody, observations: Places) -> Poses:
+def start_from_positions(body: ChainBody, observations: JointPositions) -> Poses:
     """Return initial poses for a 3D track, with gaps filled linearly and missing joints derived from others.
 
     Parameters
@@ -204,7 +204,7 @@ def start_from_places(body: ChainBody, observations: Places) -> Poses:
     ParameterError
         A hip or a shoulder is tracked in no frame.
     """
-    positions = np.stack([filled(observations.places[:, j]) for j in range(len(body.chain.joints))], axis=1)
+    positions = np.stack([filled(observations.positions[:, j]) for j in range(len(body.chain.joints))], axis=1)
     return _fit_start(body, positions)
 
 
@@ -238,13 +238,13 @@ def _fit_start(body: ChainBody, positions: F64) -> Poses:
     return fit_poses(body, np.moveaxis(positions, 0, 2), START_SIGMA_M, START_STEPS)
 
 
-def filled(places: F64) -> F64:
+def filled(positions: F64) -> F64:
     """Return positions (T, 3) with gaps filled linearly, and constant at both ends; all NaN if none is known."""
-    seen = np.flatnonzero(np.isfinite(places).all(axis=1))
+    seen = np.flatnonzero(np.isfinite(positions).all(axis=1))
     if not len(seen):
-        return np.full_like(places, np.nan)
-    frames = np.arange(len(places))
-    return np.stack([np.interp(frames, seen, places[seen, i]) for i in range(3)], axis=1)
+        return np.full_like(positions, np.nan)
+    frames = np.arange(len(positions))
+    return np.stack([np.interp(frames, seen, positions[seen, i]) for i in range(3)], axis=1)
 
 
 def _put(positions: F64, joint: int, places: F64) -> None:

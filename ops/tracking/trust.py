@@ -14,9 +14,9 @@ from numba import njit
 
 from kinedex.ops.arrays import F64, I64, Bool
 from kinedex.ops.body.kinematic_chain import ChainArrays, ChainBody, Poses, forward, pose_nodes, rotation_of, vector_of
-from kinedex.ops.tracking.blocks import frame_room, place_points
-from kinedex.ops.tracking.observations import LEAST_CONFIDENCE, BodyPoints, Places, Rays
-from kinedex.ops.tracking.rays import LEAST_DEPTH_M, SIGMA_PX, Evidence, make_evidence
+from kinedex.ops.tracking.blocks import frame_buffers, place_points
+from kinedex.ops.tracking.observations import MIN_CONFIDENCE, BodyPoints, JointPositions, Rays
+from kinedex.ops.tracking.rays import MIN_DEPTH_M, SIGMA_PX, Evidence, make_evidence
 
 TRUST_WIDTH = 3.0
 """The width c of the robust loss whose weights give trust."""
@@ -67,7 +67,7 @@ class Trust:
 
 def trust(
     body: ChainBody,
-    observations: Rays | Places,
+    observations: Rays | JointPositions,
     points: BodyPoints | None,
     poses: Poses,
     sigma_px: float = SIGMA_PX,
@@ -88,8 +88,8 @@ def trust(
         Standard deviation of a keypoint in pixels.
     """
     evidence = make_evidence(body, observations, points, sigma_px)
-    agreed, given = np.empty((2, len(poses.places), len(evidence.nodes)))
-    _sums(body.arrays, evidence, poses.places, poses.turns, agreed, given)
+    agreed, given = np.empty((2, len(poses.positions), len(evidence.nodes)))
+    _sums(body.arrays, evidence, poses.positions, poses.rotations, agreed, given)
     contested = (given > 0) & (agreed < AGREEMENT * given)
     keypoints = np.where(contested, 0.0, agreed)
     joints = np.arange(len(evidence.nodes)) if points is None else points.joints
@@ -97,25 +97,25 @@ def trust(
 
 
 @njit(cache=True, nogil=True)
-def _sums(chain: ChainArrays, evidence: Evidence, places: F64, turns: F64, agreed: F64, given: F64) -> None:
+def _sums(chain: ChainArrays, evidence: Evidence, positions: F64, rotations: F64, agreed: F64, given: F64) -> None:
     """Compute Σ conf · ω and Σ conf of every keypoint; a place counts like two cameras."""
-    room = frame_room(chain, evidence)
+    buffers = frame_buffers(chain, evidence)
     agreed[:], given[:] = 0.0, 0.0
-    for t in range(len(places)):
-        pose_nodes(chain, places[t], turns[t], room.turned, room.centres)
-        place_points(evidence.nodes, evidence.offsets, room.turned, room.centres, room.points)
-        for p in range(len(room.points)):
+    for t in range(len(positions)):
+        pose_nodes(chain, positions[t], rotations[t], buffers.turned, buffers.centres)
+        place_points(evidence.nodes, evidence.offsets, buffers.turned, buffers.centres, buffers.points)
+        for p in range(len(buffers.points)):
             for v in range(len(evidence.centres)):
                 confidence = evidence.confidence[t, v, p]
                 if confidence > 0.0:
-                    gap = room.points[p] - evidence.centres[v]
+                    gap = buffers.points[p] - evidence.centres[v]
                     depth = (gap * evidence.directions[t, v, p]).sum()
                     gap -= depth * evidence.directions[t, v, p]
-                    unit = evidence.scales[v] / max(LEAST_DEPTH_M, depth)
+                    unit = evidence.scales[v] / max(MIN_DEPTH_M, depth)
                     given[t, p] += confidence
                     agreed[t, p] += confidence * (1.0 + (gap * gap).sum() * (unit / TRUST_WIDTH) ** 2) ** -2
-            if len(evidence.places) > 0 and not np.isnan(evidence.places[t, p, 0]):
-                gap = room.points[p] - evidence.places[t, p]
+            if len(evidence.positions) > 0 and not np.isnan(evidence.positions[t, p, 0]):
+                gap = buffers.points[p] - evidence.positions[t, p]
                 given[t, p] += 2.0
                 square = (gap * gap).sum() * (evidence.precisions[t, p] / TRUST_WIDTH) ** 2
                 agreed[t, p] += 2.0 * (1.0 + square) ** -2
@@ -174,7 +174,7 @@ def interpolated(poses: Poses, known: Bool) -> Poses:
     known : bool array (T, K)
         True where a rotation is kept. A node that is known in no frame is not changed.
     """
-    places, turns = poses.places.copy(), poses.turns.copy()
+    positions, rotations = poses.positions.copy(), poses.rotations.copy()
     for k in range(known.shape[1]):
         frames = np.flatnonzero(known[:, k])
         if len(frames) in (0, len(known)):
@@ -184,20 +184,20 @@ def interpolated(poses: Poses, known: Bool) -> Poses:
         for t in np.flatnonzero(~known[:, k]):
             one, two = low[t], high[t]
             share = (t - one) / (two - one) if two > one else 0.0
-            way = vector_of(np.ascontiguousarray(poses.turns[one, k].T) @ poses.turns[two, k])
-            turns[t, k] = poses.turns[one, k] @ rotation_of(share * way)
+            way = vector_of(np.ascontiguousarray(poses.rotations[one, k].T) @ poses.rotations[two, k])
+            rotations[t, k] = poses.rotations[one, k] @ rotation_of(share * way)
             if k == 0:
-                places[t] = (1.0 - share) * poses.places[one] + share * poses.places[two]
-    return Poses(places, turns)
+                positions[t] = (1.0 - share) * poses.positions[one] + share * poses.positions[two]
+    return Poses(positions, rotations)
 
 
 def exchanged_sides(
     body: ChainBody,
-    observations: Rays | Places,
+    observations: Rays | JointPositions,
     points: BodyPoints | None,
     poses: Poses,
     sigma_px: float = SIGMA_PX,
-) -> Rays | Places:
+) -> Rays | JointPositions:
     """Return rays with the legs exchanged in each frame and camera where this fits the poses clearly better.
 
     Parameters
@@ -222,8 +222,8 @@ def exchanged_sides(
         return rays
     left, right = (np.array(side, np.int64) for side in zip(*pairs, strict=True))
     mine, other = np.concatenate([left, right]), np.concatenate([right, left])
-    places = _places(body, points, poses, mine)
-    exchanged = _costs(rays, places, other, sigma_px) < CLEARLY * _costs(rays, places, mine, sigma_px)
+    positions = _places(body, points, poses, mine)
+    exchanged = _costs(rays, positions, other, sigma_px) < CLEARLY * _costs(rays, positions, mine, sigma_px)
     directions, confidence = rays.directions.copy(), rays.confidence.copy()
     directions[:, :, mine] = np.where(exchanged[..., None, None], rays.directions[:, :, other], directions[:, :, mine])
     confidence[:, :, mine] = np.where(exchanged[..., None], rays.confidence[:, :, other], confidence[:, :, mine])
@@ -238,14 +238,14 @@ def _places(body: ChainBody, points: BodyPoints, poses: Poses, chosen: I64) -> F
     return centres + np.einsum("tlij,lj->tli", turned[:, nodes], points.offsets[chosen])
 
 
-def _costs(rays: Rays, places: F64, keypoints: I64, sigma_px: float) -> F64:
+def _costs(rays: Rays, positions: F64, keypoints: I64, sigma_px: float) -> F64:
     """Return the robust cost (T, V) of keypoints as observations of positions (T, L, 3)."""
-    gaps = places[:, None] - rays.centres[None, :, None]
+    gaps = positions[:, None] - rays.centres[None, :, None]
     depths = np.einsum("tvli,tvli->tvl", gaps, rays.directions[:, :, keypoints])
     squares = np.maximum((gaps**2).sum(axis=3) - depths**2, 0.0)
-    units = rays.focal_px[None, :, None] / (sigma_px * np.maximum(depths, LEAST_DEPTH_M))
+    units = rays.focal_px[None, :, None] / (sigma_px * np.maximum(depths, MIN_DEPTH_M))
     squares *= units**2
     confidence = rays.confidence[:, :, keypoints]
-    seen = (confidence >= LEAST_CONFIDENCE) & np.isfinite(squares)
+    seen = (confidence >= MIN_CONFIDENCE) & np.isfinite(squares)
     costs: F64 = np.where(seen, confidence**2 * squares / (1.0 + squares / _WIDTH**2), 0.0).sum(axis=2)
     return costs

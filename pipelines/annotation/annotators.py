@@ -16,11 +16,11 @@ from kinedex.ops.arrays import I64, U64
 from kinedex.ops.errors import KinedexError, did_you_mean
 from kinedex.ops.templates.derived_templates import restricted_template
 from kinedex.ops.templates.templates import QuantisedTemplate, quantise
-from kinedex.ops.wording import counted, few
+from kinedex.ops.wording import counted, name_list
 from kinedex.pipelines.annotation.methods import AnnotationMethod, ClassTemplates, ThesisMethod
-from kinedex.pipelines.search.not_applied import Applicability, applicability, remarks_on
-from kinedex.pipelines.search.preselection import known_queries, widest_margins
-from kinedex.pipelines.templates.learning import SubclassTemplate
+from kinedex.pipelines.keyframes.applicability import Applicability, applicability, remarks_on
+from kinedex.pipelines.keyframes.preselected_frames import known_queries, widest_margins
+from kinedex.pipelines.templates.template_learning import SubclassTemplate
 
 VAGUE = 1.0
 """Fixed entries per column, on average, below which a template hardly distinguishes motions.
@@ -174,7 +174,7 @@ def make_annotator(
         The threshold of all classes, or of each.
     queries : sequence of KeyframeQuery
         A query whose target is a subclass preselects for it, one whose target is a class for those of its subclasses
-        that have no query of their own; other queries are excluded (see `targets_unknown`).
+        that have no query of their own; other queries are excluded (see `unknown_targets`).
     method : type of AnnotationMethod
         The method that labels frames.
     clips : callable
@@ -193,7 +193,7 @@ def make_annotator(
     of_subclass = classes.of_subclass()
     known = [one for one in templates if one.subclass in of_subclass]
     if not known:
-        names = few([one.subclass for one in templates])
+        names = name_list([one.subclass for one in templates])
         raise KinedexError(f"none of the classes {', '.join(classes.names)} has a template; there are: {names}")
     quantised = {one.subclass: quantise(one.learned.template, delta) for one in known}
     used = [one for one in known if quantised[one.subclass].fixed > 0]
@@ -238,16 +238,16 @@ def _remarks(fixed: Mapping[str, float]) -> tuple[str, ...]:
     vague = [f"{subclass} ({entries:.2g})" for subclass, entries in fixed.items() if 0 < entries < VAGUE]
     remarks = []
     if empty:
-        remarks.append(f"templates of wildcards alone, which would fit anything, excluded: {few(empty)}")
+        remarks.append(f"templates of wildcards alone, which would fit anything, excluded: {name_list(empty)}")
     if vague:
         remarks.append(
             f"templates with less than {VAGUE:g} fixed entry a column on average, which fit almost anything: "
-            + few(vague)
+            + name_list(vague)
         )
     return tuple(remarks)
 
 
-def targets_unknown(queries: Sequence[KeyframeQuery], classes: Classes) -> list[str]:
+def unknown_targets(queries: Sequence[KeyframeQuery], classes: Classes) -> list[str]:
     """Return the targets of queries that are neither a class nor a subclass.
 
     Raises

@@ -17,9 +17,14 @@ from kinedex.ops.distances.dtw import distance_curves
 from kinedex.ops.words import TakeWords
 from kinedex.pipelines.annotation.annotators import Annotator
 from kinedex.pipelines.annotation.methods import whole_takes
-from kinedex.pipelines.annotation.single_examples import PromisingRanges, SingleExamples, promising_of, words_print
+from kinedex.pipelines.annotation.single_examples import (
+    PromisingRanges,
+    SingleExamples,
+    ranges_by_example,
+    words_fingerprint,
+)
 from kinedex.pipelines.engine.executors import Executor, batches_of
-from kinedex.pipelines.search.preselection import preselect, preselect_stored, ranges_around
+from kinedex.pipelines.keyframes.preselected_frames import preselect, preselect_stored, ranges_around
 from kinedex.storage.store.store import Store
 
 BATCH_FRAMES = 50_000
@@ -122,7 +127,9 @@ def annotate_batch(batch: Batch) -> list[TakeAnnotation]:
     words = batch.store.words(batch.take_ids)
     if not batch.code:
         return annotate_words(batch.annotator, words, batch.store_curves, batch.store)
-    prints = {take: words_print(words.take(place), batch.code) for place, take in enumerate(words.take_ids.tolist())}
+    prints = {
+        take: words_fingerprint(words.take(place), batch.code) for place, take in enumerate(words.take_ids.tolist())
+    }
     earlier = {take: one for take, one in batch.earlier.items() if one.fingerprint == prints[take]}
     return [
         one
@@ -232,14 +239,14 @@ def _annotate_alike(
     earlier: Mapping[int, PromisingRanges] | None,
 ) -> list[TakeAnnotation]:
     """Annotate takes in which all features of the annotator are known."""
-    ranges = ranges_of(annotator, words, store)
+    ranges = matched_ranges(annotator, words, store)
     curves = _curves(annotator, words, ranges) if store_curves else None
     method = annotator.method
     promising: list[PromisingRanges] | None = None
     if isinstance(method, SingleExamples):
         places = method.promising(words, [(earlier or {}).get(take) for take in words.take_ids.tolist()])
         segments = method.annotate(words, ranges, places)
-        promising = [promising_of(method.keys, own) for own in places]
+        promising = [ranges_by_example(method.keys, own) for own in places]
     else:
         segments = method.annotate(words, ranges)
     matched = np.array([_frames_within(one, words.offsets) for one in ranges], np.float64)
@@ -258,7 +265,7 @@ def _annotate_alike(
     return found
 
 
-def ranges_of(annotator: Annotator, words: TakeWords, store: Store | None = None) -> list[I64]:
+def matched_ranges(annotator: Annotator, words: TakeWords, store: Store | None = None) -> list[I64]:
     """Return the frames in which each template is matched: whole takes, or hits of its queries with their margins.
 
     Parameters

@@ -24,18 +24,18 @@ from kinedex.pipelines.annotation.annotators import Annotator
 from kinedex.pipelines.annotation.batches import annotate_words
 from kinedex.pipelines.engine.executors import Executor
 from kinedex.pipelines.templates.examples import Rejected
-from kinedex.pipelines.templates.learning import TrainingClips
+from kinedex.pipelines.templates.template_learning import TrainingClips
 
 FOLDS = 5
 """The largest number of folds."""
 
-MOST_CLIPS = 24
+MAX_CLIPS = 24
 """The largest number of examples of each subclass that are used, spread evenly over their names."""
 
-MOST_LAID = 16
+MAX_LAID = 16
 """The largest number of examples that are concatenated to one take."""
 
-LEAST_SEGMENTS = 20
+MIN_SEGMENTS = 20
 """The smallest number of segments from which a confidence is learned, for a method that has no prior of its own."""
 
 Make = Callable[[Sequence[TrainingClips], Sequence[Rejected]], Annotator]
@@ -65,7 +65,7 @@ class Target:
     def laid(self, lengths: Sequence[int]) -> int:
         """Return the number of clips that make a take of typical length: a power of two, so that it seldom changes."""
         ratio = float(np.median(self.frames)) / max(float(np.median(lengths)), 1.0)
-        return int(2 ** np.clip(np.round(np.log2(max(ratio, 1.0))), 0, np.log2(MOST_LAID)))
+        return int(2 ** np.clip(np.round(np.log2(max(ratio, 1.0))), 0, np.log2(MAX_LAID)))
 
 
 @dataclass(frozen=True)
@@ -88,7 +88,7 @@ class KnownTake:
 
 
 @dataclass(frozen=True)
-class Part:
+class CalibrationFold:
     """One fold: takes of held-out examples, an annotator with templates of the others, and all classes of examples."""
 
     annotator: Annotator
@@ -98,7 +98,7 @@ class Part:
 
 
 @dataclass(frozen=True)
-class Known:
+class JudgedSegments:
     """Segments whose labels are known to be right or wrong.
 
     Attributes
@@ -141,7 +141,7 @@ def calibrate_confidence(
     Parameters
     ----------
     clips : sequence of TrainingClips
-        The examples by subclass; at most `MOST_CLIPS` of each are used.
+        The examples by subclass; at most `MAX_CLIPS` of each are used.
     actors : mapping of str to str
         The actor of each take by its name. With fewer than two actors, takes are held out one by one.
     classes : Classes
@@ -175,7 +175,7 @@ def calibrate_confidence(
             annotator = make(rest, [one for one in rejected if one.take not in names])
             refused = [(one.known, "", one.words) for one in rejected if one.take in names]
             takes = tuple(_laid_out(theirs, of_subclass, count, refused))
-            parts.append(Part(annotator, prior.evidence, takes, frozenset(of_subclass.values())))
+            parts.append(CalibrationFold(annotator, prior.evidence, takes, frozenset(of_subclass.values())))
     return _learned(method, list(executor.map(annotate_part, parts)), len(classes.names))
 
 
@@ -187,10 +187,10 @@ def uncalibrated(method: str, class_count: int) -> Confidence | None:
     return _learned(method, (), class_count).confidence
 
 
-def _learned(method: str, found: Sequence[Known], class_count: int) -> CalibratedConfidence:
+def _learned(method: str, found: Sequence[JudgedSegments], class_count: int) -> CalibratedConfidence:
     prior = PRIORS.get(method, UNKNOWN)
     right = np.concatenate([np.empty(0, np.bool_), *(one.right for one in found)])
-    if prior is UNKNOWN and len(right) < LEAST_SEGMENTS:
+    if prior is UNKNOWN and len(right) < MIN_SEGMENTS:
         return CalibratedConfidence(None, len(right), int(right.sum()), _UNKNOWN)
     evidence = np.concatenate([np.empty((0, len(prior.evidence))), *(one.evidence for one in found)])
     classes = np.concatenate([np.empty(0, np.int64), *(one.classes for one in found)])
@@ -204,7 +204,7 @@ def _learned(method: str, found: Sequence[Known], class_count: int) -> Calibrate
     return CalibratedConfidence(confidence, len(right), int(right.sum()), remark)
 
 
-def annotate_part(part: Part) -> Known:
+def annotate_part(part: CalibrationFold) -> JudgedSegments:
     """Annotate the takes of one fold, and mark which segments are right; runs in a worker.
 
     Segments of classes without examples, such as combinations, are ignored: none of them could be right.
@@ -228,14 +228,14 @@ def annotate_part(part: Part) -> Known:
             )
             classes.append(one.class_index)
             right.append(2 * own > one.stop - one.start)
-    return Known(evidence, np.array(classes, np.int64), np.array(right, np.bool_))
+    return JudgedSegments(evidence, np.array(classes, np.int64), np.array(right, np.bool_))
 
 
 def _thinned(clips: TrainingClips) -> TrainingClips:
-    """Return at most `MOST_CLIPS` clips, spread evenly over their names."""
-    if len(clips.names) <= MOST_CLIPS:
+    """Return at most `MAX_CLIPS` clips, spread evenly over their names."""
+    if len(clips.names) <= MAX_CLIPS:
         return clips
-    places = np.linspace(0, len(clips.names) - 1, MOST_CLIPS).round().astype(int).tolist()
+    places = np.linspace(0, len(clips.names) - 1, MAX_CLIPS).round().astype(int).tolist()
     takes = {clips.of_takes[place] for place in places}
     return clips.only(takes) if len(takes) < len(set(clips.of_takes)) else clips
 

@@ -17,8 +17,8 @@ import numpy as np
 
 from kinedex.catalog.plugins import Plugins
 from kinedex.ops.annotation.background import background
-from kinedex.ops.annotation.decoding import Decoding, explain, frames_of, lay_columns, least_costs, margins
-from kinedex.ops.annotation.promising_ranges import lay_groups, loose_ranges
+from kinedex.ops.annotation.decoding import Decoding, concatenated_columns, explain, frames_of, least_costs, margins
+from kinedex.ops.annotation.promising_ranges import loose_ranges, template_groups
 from kinedex.ops.annotation.segments import Matches, Segment, annotate
 from kinedex.ops.arrays import F64, I64, U64
 from kinedex.ops.distances.costs import encode
@@ -26,7 +26,7 @@ from kinedex.ops.distances.pruning import CoarseBound, coarse_bounds
 from kinedex.ops.distances.range_minima import minima_within
 from kinedex.ops.errors import KinedexError
 from kinedex.ops.templates.templates import QuantisedTemplate, Template
-from kinedex.ops.words import MOST_FEATURES, TakeWords, compacted, known_bits
+from kinedex.ops.words import MAX_FEATURES, TakeWords, compacted, known_bits
 
 NARROW = 4
 """Bounds are used for templates matched in more than one of this number of frames; for others they cost more time."""
@@ -184,7 +184,7 @@ class BestMethod:
 
     def own_words(self, words: TakeWords) -> U64:
         """Return the words of takes, reduced to the features of the templates."""
-        return words.words if self.known is None else compacted(words.words, self.known, MOST_FEATURES)
+        return words.words if self.known is None else compacted(words.words, self.known, MAX_FEATURES)
 
     def annotate(
         self, words: TakeWords, ranges: Sequence[I64], promising: Sequence[I64] | None = None
@@ -193,14 +193,14 @@ class BestMethod:
 
         `promising` holds the `promising_ranges` of each take, if they are known.
         """
-        columns = lay_columns(self.templates, self.usual, self.decoding)
+        columns = concatenated_columns(self.templates, self.usual, self.decoding)
         whole = whole_takes(words)
         within = None
         if not all(own is whole or np.array_equal(own, whole) for own in ranges):
             within = [_ranges_by_take(own, words.offsets) for own in ranges]
         takes, standing_out = [], []
         laid = self.own_words(words)
-        groups = None if promising or within else lay_groups(self.templates, self.usual, self.decoding)
+        groups = None if promising or within else template_groups(self.templates, self.usual, self.decoding)
         for take, (start, stop) in enumerate(pairwise(words.offsets.tolist())):
             own = frames_of(laid[start:stop], self.usual, self.decoding)
             allowed = None if within is None else [by_take[take] for by_take in within]

@@ -21,7 +21,7 @@ import pyarrow as pa
 
 from kinedex.ops.annotation.background import background
 from kinedex.ops.annotation.decoding import Decoding
-from kinedex.ops.annotation.promising_ranges import Group, lay_groups, promising_ranges
+from kinedex.ops.annotation.promising_ranges import Group, promising_ranges, template_groups
 from kinedex.ops.annotation.segments import Segment
 from kinedex.ops.arrays import F64, I64, U64, Bool
 from kinedex.ops.errors import KinedexError, StoreError
@@ -31,7 +31,7 @@ from kinedex.ops.words import TakeWords
 from kinedex.pipelines.annotation.annotators import Annotator
 from kinedex.pipelines.annotation.methods import BestMethod, ClassTemplates, whole_takes, with_usual_values
 from kinedex.pipelines.templates.examples import Rejected
-from kinedex.pipelines.templates.learning import TrainingClips, learned_of
+from kinedex.pipelines.templates.template_learning import TrainingClips, learn_template
 from kinedex.storage.snapshot.schemas import result_schema
 from kinedex.storage.store.store import Store
 
@@ -46,7 +46,7 @@ class PromisingRanges:
     Attributes
     ----------
     fingerprint : str
-        A hash of the take's words, see `words_print`; empty if unknown.
+        A hash of the take's words, see `words_fingerprint`; empty if unknown.
     keys : uint64 array (E,)
         The hashes of the examples, see `SingleExamples.keys`.
     counts : int64 array (E,)
@@ -78,13 +78,13 @@ _NOTHING = np.empty(0, np.int64)
 NO_RANGES = PromisingRanges("", np.empty(0, np.uint64), _NOTHING, _NOTHING, _NOTHING)
 
 
-def promising_of(keys: U64, ranges: I64) -> PromisingRanges:
+def ranges_by_example(keys: U64, ranges: I64) -> PromisingRanges:
     """Return promising ranges from rows of example, start and stop, int64 (R, 3), sorted by example."""
     counts = np.bincount(ranges[:, 0], minlength=len(keys))
     return PromisingRanges("", keys, counts, ranges[:, 1], ranges[:, 2])
 
 
-def words_print(words: U64, code: str) -> str:
+def words_fingerprint(words: U64, code: str) -> str:
     """Return a hash of the words of a take and of the code that compares them with examples."""
     return hashlib.sha256(code.encode() + np.ascontiguousarray(words).tobytes()).hexdigest()[:32]
 
@@ -137,7 +137,7 @@ NOTHING = -1
 """The index that marks a template of a rejected interval, which assigns no label."""
 
 
-MOST_FRAMES = 20_000
+MAX_FRAMES = 20_000
 """The largest number of frames from which the background is learned; more do not change its few postures."""
 
 
@@ -149,7 +149,7 @@ class SingleExamples:
     ----------
     row : BestMethod
         The method, with a template for each of E examples.
-    places : int64 array (E,)
+    positions : int64 array (E,)
         The index of the annotator's template that each example belongs to; `NOTHING` for a rejected interval.
     """
 
@@ -158,7 +158,7 @@ class SingleExamples:
     uses_thresholds: ClassVar[bool] = False
 
     row: BestMethod
-    places: I64
+    positions: I64
 
     @classmethod
     def prepare(cls, templates: ClassTemplates, clips: Callable[[], Sequence[U64]]) -> SingleExamples:
@@ -170,10 +170,10 @@ class SingleExamples:
         new = {int(place): index for index, place in enumerate(chosen.tolist())} | {NOTHING: NOTHING}
         kept = {
             example: own
-            for example, place in enumerate(self.places.tolist())
+            for example, place in enumerate(self.positions.tolist())
             if place in new and (own := restricted_template(self.row.quantised[example], known)) is not None
         }
-        places = np.array([new[int(self.places[example])] for example in kept], np.int64)
+        places = np.array([new[int(self.positions[example])] for example in kept], np.int64)
         return SingleExamples(self.row.restricted(known, list(kept.values()), np.array(list(kept), np.int64)), places)
 
     def annotate(
@@ -182,15 +182,15 @@ class SingleExamples:
         """Label takes; see `AnnotationMethod.annotate`. `promising` holds the promising ranges of these takes, if
         known.
         """
-        if not (self.places != NOTHING).any():
+        if not (self.positions != NOTHING).any():
             return [[] for _ in range(len(words))]
         whole = whole_takes(words)
-        within = [whole if place == NOTHING else ranges[place] for place in self.places.tolist()]
+        within = [whole if place == NOTHING else ranges[place] for place in self.positions.tolist()]
         return [
             [
-                replace(one, subclass=int(self.places[one.subclass]))
+                replace(one, subclass=int(self.positions[one.subclass]))
                 for one in segments
-                if self.places[one.subclass] != NOTHING
+                if self.positions[one.subclass] != NOTHING
             ]
             for segments in self.row.annotate(words, within, promising or self.promising(words))
         ]
@@ -218,7 +218,7 @@ class SingleExamples:
             if held.tobytes() not in groups:
                 new = np.flatnonzero(~held)
                 templates = [self.row.templates[example] for example in new.tolist()]
-                groups[held.tobytes()] = new, lay_groups(templates, self.row.usual, self.row.decoding)
+                groups[held.tobytes()] = new, template_groups(templates, self.row.usual, self.row.decoding)
             new, own = groups[held.tobytes()]
             more = promising_ranges(own, self.row.usual, laid[start:stop], self.row.decoding)
             more[:, 0] = new[more[:, 0]]
@@ -239,8 +239,8 @@ class SingleExamples:
 
 
 def usual_postures(words: U64, features: int) -> F64:
-    """Return the common postures of an archive, learned from at most `MOST_FRAMES` of its words, spread evenly."""
-    return background([words[:: -(-len(words) // MOST_FRAMES) or 1]], features)
+    """Return the common postures of an archive, learned from at most `MAX_FRAMES` of its words, spread evenly."""
+    return background([words[:: -(-len(words) // MAX_FRAMES) or 1]], features)
 
 
 def with_single_examples(
@@ -283,7 +283,7 @@ def with_single_examples(
 
     def add(place: int, label: str, words: U64, known: int) -> None:
         alone = TrainingClips(label, ("",), (words,), known=known)
-        found.append((place, learned_of(alone, "soft", features, feature_weights).template))
+        found.append((place, learn_template(alone, "soft", features, feature_weights).template))
 
     for place, subclass in enumerate(annotator.subclasses):
         if subclass in by_subclass:

@@ -15,11 +15,11 @@ from kinedex.ops.distances.dtw import distance_curves
 from kinedex.ops.errors import KinedexError
 from kinedex.ops.templates.derived_templates import restricted_template
 from kinedex.ops.templates.templates import quantise
-from kinedex.ops.wording import few
+from kinedex.ops.wording import name_list
 from kinedex.pipelines.annotation.batches import split_takes
 from kinedex.pipelines.engine.executors import Executor
 from kinedex.pipelines.templates.examples import Rejected
-from kinedex.pipelines.templates.learning import SubclassTemplate, TrainingClips
+from kinedex.pipelines.templates.template_learning import SubclassTemplate, TrainingClips
 
 HIGHEST = 1.0
 """The largest threshold, a distance that no warping path exceeds."""
@@ -175,7 +175,7 @@ def _choose(found: Iterable[tuple[Fold, F64]], classes: Classes) -> Calibration:
             tau = common
             bare[_NO_COSTS[min(len(actors[name]), 2)]].append(name)
         taus[name] = min(tau, HIGHEST)
-    remarks = [f"τ of all classes together ({common:.3g}), as {why}: {few(names)}" for why, names in bare.items()]
+    remarks = [f"τ of all classes together ({common:.3g}), as {why}: {name_list(names)}" for why, names in bare.items()]
     return Calibration(taus, scores, tuple(remarks))
 
 

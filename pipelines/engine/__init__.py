@@ -1,1 +1,1 @@
-"""The engine reads pipeline files, plans which stages run, and runs them on the cores of a machine or on a cluster."""
+"""The engine reads pipeline files, plans which stages run, runs them on cores or a cluster, and lists past runs."""

@@ -150,9 +150,9 @@ class StageContext:
         """Return a progress bar, to be used in a `with` statement."""
         return self.terminal.progress(description, total)
 
-    def say(self, *texts: str) -> None:
+    def message(self, *texts: str) -> None:
         """Show lines below the heading of the stage, and log them."""
         fields = {"pipeline": self.pipeline, "stage": self.stage, "store": str(self.store_path), "run_id": self.run}
         for text in texts:
             _log.info("%s", text, extra={**fields, "event": "message"})
-            self.terminal.say(text)
+            self.terminal.message(text)

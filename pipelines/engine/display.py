@@ -98,7 +98,7 @@ def no_progress(_description: str, _total: int | None = None) -> ProgressBar:
 class Display(Protocol):
     """The protocol of displays, which show what a run does, such as a terminal."""
 
-    def say(self, text: str) -> None:
+    def message(self, text: str) -> None:
         """Show one line below the heading of a stage."""
 
     def heading(self, text: str) -> None:
@@ -110,14 +110,14 @@ class Display(Protocol):
     def progress(self, description: str, total: int | None = None) -> ProgressBar:
         """Return a progress bar."""
 
-    def during(self, name: str) -> AbstractContextManager[object]:
+    def activity(self, name: str) -> AbstractContextManager[object]:
         """Show regularly that a step is running, as long as a `with` statement lasts."""
 
 
 class NoDisplay:
     """A display that shows nothing."""
 
-    def say(self, text: str) -> None:
+    def message(self, text: str) -> None:
         """Show nothing."""
 
     def heading(self, text: str) -> None:
@@ -130,6 +130,6 @@ class NoDisplay:
         """Return a progress bar that is not shown."""
         return _NoBar()
 
-    def during(self, name: str) -> AbstractContextManager[object]:
+    def activity(self, name: str) -> AbstractContextManager[object]:
         """Report nothing."""
         return nullcontext()

@@ -19,8 +19,8 @@ from itertools import chain, islice
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Protocol, TypeVar
 
+from kinedex.ops.cancellation import check_cancelled
 from kinedex.ops.errors import KinedexError, ParameterError
-from kinedex.ops.withdrawal import check_withdrawn
 
 if TYPE_CHECKING:
     from distributed import Client
@@ -412,7 +412,7 @@ def in_threads(work: Callable[[Item], Result], items: Iterable[Item], workers: i
         waiting: deque[Future[Result]] = deque(pool.submit(work, item) for item in islice(source, 2 * workers))
         try:
             while waiting:
-                check_withdrawn()
+                check_cancelled()
                 yield waiting.popleft().result()
                 waiting.extend(pool.submit(work, item) for item in islice(source, 1))
         finally:

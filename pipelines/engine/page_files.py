@@ -8,7 +8,7 @@ from pkgutil import resolve_name
 from typing import Any
 
 from kinedex.ops.errors import KinedexError
-from kinedex.storage.disk import replace_file
+from kinedex.storage.durable_files import replace_file
 
 
 def write_page(page: str, path: Path) -> int:

@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from kinedex.ops.errors import AcceptError, KinedexError, NewStoreError, Remedy
-from kinedex.ops.wording import few
+from kinedex.ops.wording import name_list
 from kinedex.pipelines.engine.config import KnownFailures, Pipeline, load_pipeline
 from kinedex.pipelines.engine.context import StageContext, feature_set_for
 from kinedex.pipelines.engine.display import Display, NoDisplay
@@ -28,7 +28,7 @@ from kinedex.storage.interruption import ctrl_c_in_statements
 from kinedex.storage.lock import Wait
 from kinedex.storage.snapshot.manifest import PipelineRecord, StageRecord, kinedex_version, now, running_command
 from kinedex.storage.snapshot.manifest_files import versions
-from kinedex.storage.snapshot.shown_results import makes_results, pipelines_by_use
+from kinedex.storage.snapshot.visible_results import makes_results, pipelines_by_use
 from kinedex.storage.store.history import OWN_FIELDS, SUMS, file_sums
 from kinedex.storage.store.store import data_frame, open_store
 from kinedex.storage.store.writer import StoreWriter
@@ -218,7 +218,7 @@ def run_pipeline(
     pool = make_executor(options.executor, options.workers, options.scheduler)
     resume = None if assignments is None else options.command(name_or_path, store_path, assignments)
     option = "wait_seconds=600" if resume is None else "--wait 10m"
-    wait = Wait(options.wait_seconds, terminal.say, option)
+    wait = Wait(options.wait_seconds, terminal.message, option)
     record = _pipeline_record(pipeline, assignments or settings or {})
     history = RunRecorder(store_path, pipeline, record)
     run = _Run(pipeline, store_path, pool, terminal, resume, wait, record, history, options.accept)
@@ -263,13 +263,14 @@ def _make_current(run: _Run) -> None:
     others = [one for one in pipelines_by_use(manifest) if one != name]
     use = f"kinedex use {shlex.quote(str(run.store_path))}"
     if others and manifest.chosen_pipeline in others:
-        run.terminal.say(
+        run.terminal.message(
             f"the views of results show pipeline {manifest.chosen_pipeline}, which was chosen; `{use} {name}` shows "
             f"{name}"
         )
     elif others:
-        run.terminal.say(
-            f"the views of results show pipeline {name}; those that begin with `all_` show {few(others)} as well, and "
+        run.terminal.message(
+            f"the views of results show pipeline {name}; those that begin with `all_` show {name_list(others)} as "
+            "well, and "
             f"`{use} {others[0]}` goes back"
         )
 
@@ -338,7 +339,7 @@ def _run_step(run: _Run, planner: Planner, step: Step) -> StageRecord:
                     writer.forget_stage(context.key())
                     writer.commit()
             context = replace(context, wait=run.begun().wait)
-        with run.terminal.during(stage.name):
+        with run.terminal.activity(stage.name):
             summary = stage.kind.run(context, stage.params) | unmatched_summary(context.unmatched)
         seconds = time.perf_counter() - begin
         record = _record(replace(context, wait=run.begun().wait), planner.done(step), summary, seconds, run)
@@ -352,7 +353,7 @@ def _run_step(run: _Run, planner: Planner, step: Step) -> StageRecord:
     text = f"done in {seconds:.1f} s"
     figures = {"run_id": context.run, "seconds": round(seconds, 3), "summary": summary}
     _log.info("%s: %s", stage.name, text, extra=_fields(run, stage.name, event="finish", **figures))
-    run.terminal.say(text)
+    run.terminal.message(text)
     return record
 
 

@@ -127,7 +127,7 @@ BUILT_IN = {
     "stabilise": "kinedex.pipelines.stages.stabilise:Stabilise",
     "report_stabilised": "kinedex.reports.stages.report_stabilised:ReportStabilised",
     "evaluate_track": "kinedex.pipelines.stages.evaluate_track:EvaluateTrack",
-    "pose_database": "kinedex.pipelines.stages.pose_database:PoseDatabase",
+    "pose_database": "kinedex.pipelines.stages.pose_database:BuildPoseDatabase",
     "reconstruct": "kinedex.pipelines.stages.reconstruct:Reconstruct",
     "evaluate_reconstruction": "kinedex.pipelines.stages.evaluate_reconstruction:EvaluateReconstruction",
     "report_reconstruction": "kinedex.reports.stages.report_reconstruction:ReportReconstruction",

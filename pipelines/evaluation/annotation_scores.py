@@ -11,10 +11,10 @@ from pathlib import Path
 import pyarrow as pa
 
 from kinedex.ops.evaluation.metrics import Counts, compare, pooled
-from kinedex.ops.wording import digits
+from kinedex.ops.wording import two_digits
 from kinedex.pipelines.engine.display import ResultTable
 from kinedex.pipelines.evaluation.ground_truth import GroundTruth
-from kinedex.storage.disk import replace_file, write_errors
+from kinedex.storage.durable_files import replace_file, write_errors
 from kinedex.storage.formats.json_text import json_text
 from kinedex.storage.snapshot.schemas import result_schema
 
@@ -146,7 +146,7 @@ def metrics_table(evaluation: Evaluation, title: str, scopes: Sequence[str] = SC
             values = [counts.f1, counts.p1, counts.r1, counts.f2, counts.p2, counts.r2]
             table.add(
                 row.name,
-                *(digits(value) for value in values),
+                *(two_digits(value) for value in values),
                 f"{counts.segments_automatic_hit}/{counts.segments_automatic}",
                 f"{counts.segments_manual_hit}/{counts.segments_manual}",
                 tone="main" if scope == "pooled" else "plain",

@@ -10,12 +10,28 @@ import polars as pl
 from kinedex.catalog.classes import OWN, Classes, load_classes
 from kinedex.ops.errors import KinedexError, did_you_mean
 from kinedex.ops.evaluation.metrics import pooled
-from kinedex.ops.wording import few
+from kinedex.ops.wording import name_list
+from kinedex.pipelines.annotation.annotation_tables import annotated_takes
 from kinedex.pipelines.annotation.parameters import AnnotationParameters, MethodParameters
-from kinedex.pipelines.annotation.tables import annotated_takes
 from kinedex.pipelines.engine.context import StageContext
+from kinedex.pipelines.evaluation.comparison_cells import (
+    Cell,
+    SegmentsByTake,
+    cells_table,
+    known_cells,
+    remarks_of,
+    run_cells,
+)
+from kinedex.pipelines.evaluation.comparison_parameters import ComparisonParameters, Method, Split
+from kinedex.pipelines.evaluation.comparison_results import SplitResult, Study, Threshold
+from kinedex.pipelines.evaluation.fold_setup import (
+    QueryLearner,
+    StudyMaterial,
+    make_cell,
+    method_remarks,
+    with_templates,
+)
 from kinedex.pipelines.evaluation.folds import Fold, Material, NoFoldsError, make_folds
-from kinedex.pipelines.evaluation.grid import Cell, SegmentsByTake, cells_table, known_cells, remarks_of, run_cells
 from kinedex.pipelines.evaluation.ground_truth import (
     NONE,
     GroundTruth,
@@ -24,16 +40,7 @@ from kinedex.pipelines.evaluation.ground_truth import (
     not_labelled,
     with_own_classes,
 )
-from kinedex.pipelines.evaluation.method_scores import MethodScores, counts_of, judge, segment_outcomes
-from kinedex.pipelines.evaluation.preparation import (
-    QueryLearner,
-    StudyMaterial,
-    make_cell,
-    method_remarks,
-    with_templates,
-)
-from kinedex.pipelines.evaluation.scheme import ComparisonParameters, Method, Split
-from kinedex.pipelines.evaluation.study import SplitResult, Study, Threshold
+from kinedex.pipelines.evaluation.method_scores import MethodScores, counts_of, score_method, segment_outcomes
 from kinedex.pipelines.keyframes.parameters import KeyframeParameters
 from kinedex.pipelines.templates.training import TemplateParameters, templates_of_files, training_material
 from kinedex.storage.snapshot.manifest import now
@@ -87,7 +94,7 @@ def plan_comparison(context: StageContext, params: ComparisonParameters) -> Plan
         truth = context.params_of("evaluation", GroundTruthParameters)
     if params.methods:
         same = [method.name for method in params.methods if method not in params.distinct]
-        remarks = (f"the same as an earlier method, excluded: {few(same)}",) if same else ()
+        remarks = (f"the same as an earlier method, excluded: {name_list(same)}",) if same else ()
         return Plan(params.model_copy(update={"methods": params.distinct}), truth, None, remarks)
     if "annotations" not in context.inputs:
         raise KinedexError("compare_methods needs `methods`, or a stage annotate whose method it repeats")
@@ -137,7 +144,7 @@ def compare_methods(context: StageContext, plan: Plan) -> Study | None:
         except NoFoldsError as fault:
             if plan.annotated is None:
                 raise
-            context.say(f"nothing to compare: {fault}")
+            context.message(f"nothing to compare: {fault}")
     if not folds:
         return None
     known = with_templates(context, params.methods, known, [fold for some in folds.values() for fold in some])
@@ -184,7 +191,7 @@ def _known(context: StageContext, params: ComparisonParameters, store: Store) ->
     learner = None
     if any(method.learned_queries for method in params.methods):
         if "keyframes" not in context.inputs:
-            names = few([method.name for method in params.methods if method.learned_queries])
+            names = name_list([method.name for method in params.methods if method.learned_queries])
             raise KinedexError(f"queries of {names} are to be learned, so the pipeline needs a stage 'learn_keyframes'")
         learner = QueryLearner(context, context.params_of("keyframes", KeyframeParameters))
     return StudyMaterial(store, classes, learned_with, {}, learner)
@@ -233,7 +240,7 @@ def _run(context: StageContext, cells: Sequence[Cell]) -> dict[str, SegmentsByTa
 
     already = sum(cell.key in known for cell in distinct)
     if already:
-        context.say(f"{already} of {len(distinct)} cells are known")
+        context.message(f"{already} of {len(distinct)} cells are known")
     with context.progress("cells", len(distinct)) as progress:
         found = run_cells(distinct, store, context.executor, known, save, progress.advance)
     save(found)
@@ -256,7 +263,9 @@ def _result(
 
     test_takes = [test_take for fold in folds for test_take in fold.test_takes]
     outcomes = {method.name: outcome(method) for method in params.methods}
-    judged: dict[str, MethodScores] = {name: judge(one, test_takes, classes.names) for name, one in outcomes.items()}
+    judged: dict[str, MethodScores] = {
+        name: score_method(one, test_takes, classes.names) for name, one in outcomes.items()
+    }
     sweep = [
         Threshold(
             method.curve_name, float(method.tau), pooled(counts_of(outcome(method), test_takes, classes.names).values())
@@ -266,7 +275,7 @@ def _result(
     used = [cells[split.name, fold.name, method.name] for fold in folds for method in params.methods]
     labelled = {one.annotator.classes[index] for one in used for index in one.annotator.class_index.tolist()}
     lacking = sorted({one.label for take in test_takes for one in take.truth} - labelled)
-    notes = [f"without a template, so their segments cannot be found: {few(lacking)}"] if lacking else []
+    notes = [f"without a template, so their segments cannot be found: {name_list(lacking)}"] if lacking else []
     notes += remarks_of(used)
     met = tuple(segment_outcomes(outcomes, test_takes))
     return SplitResult(split, tuple(folds), dict(outcomes), judged, tuple(sweep), met, tuple(notes))

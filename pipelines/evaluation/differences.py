@@ -10,13 +10,13 @@ from operator import attrgetter
 
 from kinedex.ops.evaluation.detection import bootstrap
 from kinedex.ops.evaluation.metrics import Counts, pooled
-from kinedex.ops.wording import digits, few
+from kinedex.ops.wording import name_list, two_digits
 from kinedex.pipelines.engine.display import Line, ResultTable, Tone
 from kinedex.pipelines.evaluation.annotation_scores import F_FRAMES, F_SEGMENTS, THESIS_NAMES, defined
 from kinedex.pipelines.evaluation.markdown import grid, plain
 from kinedex.pipelines.evaluation.written_evaluations import MethodEvaluation
 
-LEAST = 0.005
+MIN_CHANGE = 0.005
 """The smallest change of a measure that counts as a change."""
 
 LEVELS = ("f1", "f2")
@@ -55,7 +55,7 @@ class Change:
 
 
 @dataclass(frozen=True)
-class Unshared:
+class UnsharedContent:
     """The takes and classes that only one of two evaluations has."""
 
     takes: tuple[str, ...] = ()
@@ -93,9 +93,9 @@ class Comparison:
     classes: tuple[Change, ...]
     takes: tuple[Change, ...]
     common: int | None
-    only_a: Unshared
-    only_b: Unshared
-    other_truth: Unshared = Unshared()
+    only_a: UnsharedContent
+    only_b: UnsharedContent
+    other_truth: UnsharedContent = UnsharedContent()
     settings: tuple[tuple[str, object, object], ...] = ()
 
     @property
@@ -107,7 +107,7 @@ class Comparison:
             _measure_verdict(*one)
             for one in zip((F_FRAMES, F_SEGMENTS), (self.overall.f1, self.overall.f2), self._ends, strict=True)
         ]
-        if self.other_truth != Unshared():
+        if self.other_truth != UnsharedContent():
             parts.append("but A and B were judged against different ground truth")
         return "; ".join(parts)
 
@@ -130,7 +130,7 @@ class Comparison:
         )
 
 
-def compared(a: MethodEvaluation, b: MethodEvaluation, names: tuple[str, str]) -> Comparison:
+def compare_evaluations(a: MethodEvaluation, b: MethodEvaluation, names: tuple[str, str]) -> Comparison:
     """Compare two evaluations over their common takes, with bootstrap intervals of the differences.
 
     Parameters
@@ -157,7 +157,7 @@ def compared(a: MethodEvaluation, b: MethodEvaluation, names: tuple[str, str]) -
         len(both) if a.takes or b.takes else None,
         _alone(a, b),
         _alone(b, a),
-        Unshared() if apart else _other_truth(a, b),
+        UnsharedContent() if apart else _other_truth(a, b),
         _settings(a, b),
     )
 
@@ -170,7 +170,7 @@ def direction(pair: Pair) -> int | None:
     """
     a, b = pair
     if a is not None and b is not None:
-        return 1 if b - a >= LEAST else -1 if b - a <= -LEAST else 0
+        return 1 if b - a >= MIN_CHANGE else -1 if b - a <= -MIN_CHANGE else 0
     if a is None and b is None:
         return 0
     if (b if a is None else a) != 0:
@@ -195,8 +195,8 @@ def _measure_verdict(name: str, pair: Pair, ends: tuple[float, float]) -> str:
     return f"{name} is {how} by {abs(by):.3f}{sure}{'' if certain else ', which may be chance'}"
 
 
-def _alone(one: MethodEvaluation, other: MethodEvaluation) -> Unshared:
-    return Unshared(
+def _alone(one: MethodEvaluation, other: MethodEvaluation) -> UnsharedContent:
+    return UnsharedContent(
         tuple(sorted(set(one.takes) - set(other.takes))),
         tuple(
             name
@@ -206,7 +206,7 @@ def _alone(one: MethodEvaluation, other: MethodEvaluation) -> Unshared:
     )
 
 
-def _other_truth(a: MethodEvaluation, b: MethodEvaluation) -> Unshared:
+def _other_truth(a: MethodEvaluation, b: MethodEvaluation) -> UnsharedContent:
     """Return common takes and classes whose numbers of manual frames or segments differ.
 
     Classes are compared only if both evaluations have the same takes.
@@ -217,7 +217,7 @@ def _other_truth(a: MethodEvaluation, b: MethodEvaluation) -> Unshared:
         return tuple(name for name in ours if name in theirs and manual(ours[name]) != manual(theirs[name]))
 
     same_takes = set(a.takes) == set(b.takes)
-    return Unshared(differ(a.takes, b.takes), differ(a.classes, b.classes) if same_takes else ())
+    return UnsharedContent(differ(a.takes, b.takes), differ(a.classes, b.classes) if same_takes else ())
 
 
 def _settings(a: MethodEvaluation, b: MethodEvaluation) -> tuple[tuple[str, object, object], ...]:
@@ -243,7 +243,7 @@ def without_repeats(comparisons: Sequence[Comparison]) -> list[Comparison]:
     return found
 
 
-def content(comparisons: Sequence[Comparison]) -> dict[str, object]:
+def comparisons_json(comparisons: Sequence[Comparison]) -> dict[str, object]:
     """Return comparisons as JSON values."""
     return {
         "format": "kinedex comparison 1",
@@ -299,7 +299,7 @@ def _difference_of(level: str) -> Callable[[Counts, Counts], float]:
 
 VERDICTS = ("worse", "mixed", "better", "incomparable")
 HEADER = (f"{F_FRAMES} A", "B", "B − A", f"{F_SEGMENTS} A", "B", "B − A")
-MOST_SHOWN = 20
+MAX_SHOWN = 20
 """The largest number of changes of a kind that the terminal shows; a file lists all."""
 
 _TONES: dict[str, Tone] = {
@@ -307,15 +307,15 @@ _TONES: dict[str, Tone] = {
 }  # fmt: skip
 
 
-def values(change: Change) -> list[str]:
+def change_cells(change: Change) -> list[str]:
     """Return a change as cells of the columns in `HEADER`."""
     cells = []
     for pair, by in zip((change.f1, change.f2), change.by, strict=True):
-        cells += [digits(pair[0]), digits(pair[1]), signed(by)]
+        cells += [two_digits(pair[0]), two_digits(pair[1]), signed_difference(by)]
     return cells
 
 
-def signed(value: float | None) -> str:
+def signed_difference(value: float | None) -> str:
     """Format a difference with its sign; "·" if it rounds to 0, "–" for None, where an evaluation has no value."""
     return "–" if value is None else "·" if abs(value) < 0.0005 else f"{value:+.3f}"
 
@@ -328,8 +328,8 @@ def comparison_tables(one: Comparison) -> list[ResultTable | Line]:
         _table(one.scope, [one.overall], plain=not one.common),
     ]
     for title, changed in _by_verdict(one):
-        more = f", the first {MOST_SHOWN}" if len(changed) > MOST_SHOWN else ""
-        parts.append(_table(f"{title}{more}", changed[:MOST_SHOWN]))
+        more = f", the first {MAX_SHOWN}" if len(changed) > MAX_SHOWN else ""
+        parts.append(_table(f"{title}{more}", changed[:MAX_SHOWN]))
     return parts + [Line(text) for text in (*remarks(one), THESIS_NAMES)]
 
 
@@ -355,16 +355,16 @@ def remarks(one: Comparison) -> list[str]:
     texts = []
     for what, other in (("takes", one.other_truth.takes), ("classes", one.other_truth.classes)):
         if other:
-            texts.append(f"{what} whose manual labels are not the same in A and B: {few(other)}")
+            texts.append(f"{what} whose manual labels are not the same in A and B: {name_list(other)}")
     for what, changes in (("classes", one.classes), ("takes", one.takes)):
         same = len(one.changed(changes, "same"))
         if same:
             texts.append(f"{same} of {len(changes)} {what} are the same")
     for name, alone in (("A", one.only_a), ("B", one.only_b)):
         if alone.takes:
-            texts.append(f"takes of {name} alone, excluded: {few(alone.takes)}")
+            texts.append(f"takes of {name} alone, excluded: {name_list(alone.takes)}")
         if alone.classes:
-            texts.append(f"classes of {name} alone, not compared: {few(alone.classes)}")
+            texts.append(f"classes of {name} alone, not compared: {name_list(alone.classes)}")
     if (one.only_a.takes or one.only_b.takes) and one.classes:
         texts.append("classes are over all takes of each")
     return texts
@@ -373,7 +373,7 @@ def remarks(one: Comparison) -> list[str]:
 def _table(title: str, changes: Sequence[Change], *, plain: bool = False) -> ResultTable:
     table = ResultTable(("", *HEADER), title=title or None, layout="close")
     for change in changes:
-        table.add(change.name, *values(change), tone="plain" if plain else _TONES[change.verdict])
+        table.add(change.name, *change_cells(change), tone="plain" if plain else _TONES[change.verdict])
     return table
 
 
@@ -383,9 +383,13 @@ def markdown(comparisons: Sequence[Comparison]) -> str:
     for one in comparisons:
         lines += [f"## {plain(f'{one.b} against {one.a}')}", "", f"{one.verdict}.", ""]
         lines += [*(f"- {plain(text)}" for text in settings(one)), ""] if one.settings else []
-        lines += [f"{one.scope.capitalize()}", "", *grid(["", *HEADER], [[one.overall.name, *values(one.overall)]])]
+        lines += [
+            f"{one.scope.capitalize()}",
+            "",
+            *grid(["", *HEADER], [[one.overall.name, *change_cells(one.overall)]]),
+        ]
         for title, changed in _by_verdict(one):
             lines += [f"### {title[:1].upper()}{title[1:]}", ""]
-            lines += grid(["", *HEADER], [[change.name, *values(change)] for change in changed])
+            lines += grid(["", *HEADER], [[change.name, *change_cells(change)] for change in changed])
         lines += [f"- {plain(text)}" for text in remarks(one)] + [""]
     return "\n".join(lines).rstrip("\n") + "\n"

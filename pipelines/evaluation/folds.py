@@ -13,11 +13,11 @@ import polars as pl
 from kinedex.catalog.classes import Classes
 from kinedex.ops.errors import KinedexError, did_you_mean
 from kinedex.ops.intervals import TakeSegment
-from kinedex.ops.wording import counted, few
+from kinedex.ops.wording import counted, name_list
 from kinedex.ops.words import ALL_KNOWN
+from kinedex.pipelines.evaluation.comparison_parameters import Split
 from kinedex.pipelines.evaluation.ground_truth import GroundTruth
-from kinedex.pipelines.evaluation.scheme import Split
-from kinedex.pipelines.templates.learning import TrainingClips
+from kinedex.pipelines.templates.template_learning import TrainingClips
 
 WHOLE = "all"
 """The name of the only fold of a fixed split."""
@@ -159,7 +159,7 @@ def _of_no_class(clips: pl.DataFrame) -> tuple[str, ...]:
         return ()
     subclasses = clips["class"].drop_nulls().unique().sort().to_list()
     bare = clips["class"].null_count()
-    parts = [f"of {few(subclasses)}"] * bool(subclasses) + [f"{bare} without a subclass"] * bool(bare)
+    parts = [f"of {name_list(subclasses)}"] * bool(subclasses) + [f"{bare} without a subclass"] * bool(bare)
     return (f"{counted(clips.height, 'clip')} of no class, excluded: {'; '.join(parts)}",)
 
 
@@ -169,7 +169,9 @@ def _in_no_fold(split: Split, tested: pl.DataFrame, parts: Sequence[tuple[str, p
     names = [name for name in tested["name"].sort() if name not in within]
     if not names:
         return []
-    return [f"{counted(len(names), 'take')} without {split.leave_out}, in no fold and not annotated: {few(names)}"]
+    return [
+        f"{counted(len(names), 'take')} without {split.leave_out}, in no fold and not annotated: {name_list(names)}"
+    ]
 
 
 def _missing(split: Split, folds: Sequence[Fold]) -> list[str]:
@@ -180,7 +182,8 @@ def _missing(split: Split, folds: Sequence[Fold]) -> list[str]:
             why = f"of {split.leave_out} {fold.name}" if split.leave_out is not None else "takes of this fold"
             remarks.append(
                 f"{fold.name}: all training clips are {why}, so there is no such fold; not annotated: "
-                f"{counted(len(fold.test_takes), 'take')} ({few([test_take.name for test_take in fold.test_takes])})"
+                f"{counted(len(fold.test_takes), 'take')} "
+                f"({name_list([test_take.name for test_take in fold.test_takes])})"
             )
     return remarks
 
@@ -219,29 +222,30 @@ def _fold(split: Split, name: str, tested: pl.DataFrame, material: Material) -> 
     both = sorted(names & trained)
     if both and split.leave_out is None and split.folds is None:
         raise KinedexError(
-            f"split '{split.name}': takes to annotate are learned from as well: {few(both)}; make `train` and `test` "
+            f"split '{split.name}': takes to annotate are learned from as well: {name_list(both)}; make `train` and "
+            "`test` "
             "exclude each other, or use `leave_out` or `folds`"
         )
     clips = tuple(rest for one in material.clips if (rest := one.without(excluded)).names)
     remarks = []
     gone = sorted({one.subclass for one in material.clips} - {one.subclass for one in clips})
     if gone:
-        remarks.append(f"{name}: no clips of others, so no template: {few(gone)}")
+        remarks.append(f"{name}: no clips of others, so no template: {name_list(gone)}")
     if split.leave_out is not None and not trained & excluded:
         remarks.append(f"{name}: no training clip is of {split.leave_out} {name}, so all are learned from")
     if split.clips_as_takes:
-        test_takes = laid_out(split, name, tested, material.classes, material.group)
+        test_takes = concatenated_clips(split, name, tested, material.classes, material.group)
         if split.orders > 1:
             remarks.append(
                 f"clips are laid out in {split.orders} orders, so takes share clips: intervals are narrower than those "
                 "of as many takes of their own"
             )
     else:
-        test_takes = as_they_are(tested, material.place(tested), material.group)
+        test_takes = stored_test_takes(tested, material.place(tested), material.group)
     return Fold(split.name, name, clips, tuple(test_takes), tuple(remarks))
 
 
-def as_they_are(tested: pl.DataFrame, placed: GroundTruth, column: str) -> list[TestTake]:
+def stored_test_takes(tested: pl.DataFrame, placed: GroundTruth, column: str) -> list[TestTake]:
     """Return takes of the store as test takes.
 
     Parameters
@@ -268,7 +272,7 @@ def as_they_are(tested: pl.DataFrame, placed: GroundTruth, column: str) -> list[
     ]
 
 
-def laid_out(split: Split, fold: str, clips: pl.DataFrame, classes: Classes, column: str) -> list[TestTake]:
+def concatenated_clips(split: Split, fold: str, clips: pl.DataFrame, classes: Classes, column: str) -> list[TestTake]:
     """Concatenate clips in random orders; all clips of a test take have the same value in a column of takes.
 
     Parameters

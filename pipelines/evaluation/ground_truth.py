@@ -14,13 +14,13 @@ from pydantic import BaseModel, ConfigDict, Field
 
 from kinedex.catalog.classes import Classes
 from kinedex.ops.errors import KinedexError, did_you_mean
-from kinedex.ops.wording import few
+from kinedex.ops.wording import name_list
 from kinedex.pipelines.engine.digests import files_digest
 from kinedex.pipelines.engine.file_parameters import NamesFile
-from kinedex.pipelines.labels.segments import edges_in, on_takes
+from kinedex.pipelines.labels.file_segments import edges_in, with_take_names
 from kinedex.pipelines.labels.unmatched_labels import UnmatchedLabels, unmatched_labels
+from kinedex.storage.formats.labels.file_labels import LabelFile, ManualSegment
 from kinedex.storage.formats.labels.formats import any_ground_truth, ground_truth_files, read_labels
-from kinedex.storage.formats.labels.segments import LabelFile, ManualSegment
 from kinedex.storage.snapshot.schemas import result_schema
 from kinedex.storage.store.store import Store
 
@@ -147,13 +147,13 @@ def place_ground_truth(
         )
     silent = sorted(set(by_name) - evaluated)
     if silent:
-        remarks.append(f"annotated takes without ground truth, not evaluated: {few(silent)}")
+        remarks.append(f"annotated takes without ground truth, not evaluated: {name_list(silent)}")
     labels = _labels(here, classes, unknown_labels)
     remarks += _of_no_class(labels, classes)
     empty = sorted(evaluated - {segment.take for segment in here})
     if empty:
         text = "takes of label files that have no segment of them, in which nothing is to be found"
-        remarks.append(f"{text}: {few(empty)}")
+        remarks.append(f"{text}: {name_list(empty)}")
     known = [
         (manual, segment.where)
         for segment in here
@@ -167,7 +167,7 @@ def place_ground_truth(
     remarks += _of_several_files(files, [manual for manual, _ in known], firsts, evaluated)
     bare = sorted(evaluated - {segment.take for segment in placed} - set(empty))
     if bare:
-        remarks.append(f"takes in which nothing is left to be found, evaluated as such: {few(bare)}")
+        remarks.append(f"takes in which nothing is left to be found, evaluated as such: {name_list(bare)}")
     return GroundTruth(tuple(placed), tuple(sorted(evaluated)), tuple(remarks), unmatched)
 
 
@@ -176,7 +176,7 @@ def _of_no_class(labels: Mapping[str, str | None], classes: Classes) -> list[str
     ignored = sorted(label for label, name in labels.items() if name is None)
     missed = sorted(label for label, name in labels.items() if name == label and classes.class_of(label) is None)
     treated = [("excluded", ignored), ("counted as missed", missed)]
-    return [f"labels of no class, {how}: {few(names)}" for how, names in treated if names]
+    return [f"labels of no class, {how}: {name_list(names)}" for how, names in treated if names]
 
 
 def _of_several_files(
@@ -194,7 +194,7 @@ def _of_several_files(
     remarks = []
     if again:
         doubles = [f"{n} in {b} " + ("itself" if a == b else f"that {a} has as well") for (a, b), n in again.items()]
-        remarks.append(f"the same segments again, counted once: {few(doubles)}")
+        remarks.append(f"the same segments again, counted once: {name_list(doubles)}")
     by_take: dict[str, dict[str, set[Statement]]] = defaultdict(dict)
     for file in files:
         for take in file.takes:
@@ -207,7 +207,7 @@ def _of_several_files(
         if take in evaluated and len({frozenset(own) for own in of_file.values()}) > 1
     ]
     if unlike:
-        remarks.append(f"takes that files label differently, all of it counted: {few(unlike)}")
+        remarks.append(f"takes that files label differently, all of it counted: {name_list(unlike)}")
     return remarks
 
 
@@ -233,7 +233,7 @@ def ground_truth_of_classes(takes: pl.DataFrame, classes: Classes) -> GroundTrut
         remarks.append(f"{takes.height - labelled.height} annotated takes have no class and are not evaluated")
     outside = sorted({row["class"] for row, name in known if name is None})
     if outside:
-        remarks.append(f"takes of subclasses in no class, not evaluated: {few(outside)}")
+        remarks.append(f"takes of subclasses in no class, not evaluated: {name_list(outside)}")
     return GroundTruth(tuple(segments), tuple(sorted(segment.take for segment in segments)), tuple(remarks))
 
 
@@ -326,7 +326,7 @@ def ground_truth(store: Store, params: GroundTruthParameters, takes: pl.DataFram
     if params.ground_truth == OWN_CLASS:
         return ground_truth_of_classes(takes, classes)
     paths = truth_files(params, takes["source_root"].unique())
-    files, remarks = on_takes(store, list(map(read_labels, paths)))
+    files, remarks = with_take_names(store, list(map(read_labels, paths)))
     truth = place_ground_truth(files, takes, store.takes()["name"], classes, params.unknown_labels)
     return replace(truth, remarks=(*remarks, *truth.remarks))
 

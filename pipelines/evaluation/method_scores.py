@@ -78,7 +78,7 @@ class MethodScores:
     boundaries : int64 array (M, 2)
         Boundary errors, see `boundary_errors`.
     joined_precision, joined_boundaries
-        The same after touching segments of one class are joined (`joined`).
+        The same after touching segments of one class are joined (`joined_segments`).
     """
 
     pooled: Counts
@@ -114,7 +114,9 @@ def labels_of(test_takes: Sequence[TestTake], classes: Sequence[str]) -> list[st
     return list(dict.fromkeys([*classes, *sorted({one.label for take in test_takes for one in take.truth})]))
 
 
-def judge(outcome: Outcome, test_takes: Sequence[TestTake], classes: Sequence[str], draws: int = 1000) -> MethodScores:
+def score_method(
+    outcome: Outcome, test_takes: Sequence[TestTake], classes: Sequence[str], draws: int = 1000
+) -> MethodScores:
     """Return the scores of the segments that a method has found in all takes of a split.
 
     Parameters
@@ -134,7 +136,7 @@ def judge(outcome: Outcome, test_takes: Sequence[TestTake], classes: Sequence[st
     groups = sorted({test_take.group for test_take in test_takes})
     every = list(by_take.values())
     class_precision = {label: _precision(outcome, test_takes, label) for label in labels}
-    one_piece = joined(outcome, test_takes)
+    one_piece = joined_segments(outcome, test_takes)
     joined_class_precision = [_precision(*one_piece, label) for label in labels]
     return MethodScores(
         pooled(every),
@@ -154,7 +156,7 @@ def judge(outcome: Outcome, test_takes: Sequence[TestTake], classes: Sequence[st
     )
 
 
-def joined(outcome: Outcome, test_takes: Sequence[TestTake]) -> tuple[Outcome, list[TestTake]]:
+def joined_segments(outcome: Outcome, test_takes: Sequence[TestTake]) -> tuple[Outcome, list[TestTake]]:
     """Join segments of a class that touch or overlap, both automatic and manual ones.
 
     People label repetitions in a row as one segment or as several; joining makes these the same. The confidence of a

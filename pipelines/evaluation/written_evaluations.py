@@ -10,7 +10,7 @@ from typing import Any
 from kinedex.ops.errors import KinedexError, did_you_mean
 from kinedex.ops.evaluation.metrics import Counts
 from kinedex.storage.snapshot.manifest_files import read_newest, versions
-from kinedex.storage.snapshot.shown_results import pipelines_by_use
+from kinedex.storage.snapshot.visible_results import pipelines_by_use
 from kinedex.storage.store.history import refuse_damaged_report
 
 MARK = "::"
@@ -63,7 +63,7 @@ class ReadEvaluations:
     remark: str | None = None
 
 
-def read_run(text: str) -> ReadEvaluations:
+def read_evaluations(text: str) -> ReadEvaluations:
     """Read the evaluations at a path.
 
     Parameters
@@ -167,7 +167,7 @@ def _counts(content: dict[str, Any]) -> Counts:
     return Counts(**{one.name: int(content[one.name]) for one in fields(Counts)})
 
 
-def pairs(
+def paired_evaluations(
     a: ReadEvaluations, b: ReadEvaluations, split: str | None = None
 ) -> list[tuple[MethodEvaluation, MethodEvaluation]]:
     """Pair the evaluations of A and B: the same evaluation of the same method, or of the chosen methods.

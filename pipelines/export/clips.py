@@ -13,8 +13,8 @@ from kinedex.ops.errors import KinedexError, did_you_mean
 from kinedex.ops.evaluation.group_split import split_groups
 from kinedex.ops.intervals import in_seconds, nearest_frame, shown_seconds
 from kinedex.ops.wording import counted
-from kinedex.pipelines.export.request import CLIPS, How
-from kinedex.pipelines.export.selection import SelectedInterval
+from kinedex.pipelines.export.request import CLIPS, ClipOptions
+from kinedex.pipelines.export.selected_intervals import SelectedInterval
 from kinedex.storage.formats.labels.formats import file_names
 from kinedex.storage.store.store import Store
 
@@ -60,7 +60,7 @@ class Clip:
         return self.interval.take
 
 
-def clips_of(store: Store, intervals: Sequence[SelectedInterval], how: How) -> list[Clip]:
+def clips_of(store: Store, intervals: Sequence[SelectedInterval], how: ClipOptions) -> list[Clip]:
     """Return the clips of intervals, without those that are shorter than requested.
 
     Margins and context end at the ends of the take. Intervals of a class that become equal with their margins make one
@@ -99,7 +99,7 @@ def clips_of(store: Store, intervals: Sequence[SelectedInterval], how: How) -> l
     return list(clips.values())
 
 
-def with_twins(clips: Sequence[Clip], known: Iterable[str] = ()) -> list[Clip]:
+def with_mirrored_copies(clips: Sequence[Clip], known: Iterable[str] = ()) -> list[Clip]:
     """Return clips, each followed by its mirrored copy.
 
     Parameters
@@ -176,7 +176,7 @@ def with_names(clips: Sequence[Clip], whole: bool) -> list[Clip]:
     return [replace(clip, name=name) for clip, name in zip(clips, file_names(raw), strict=True)]
 
 
-def split_clips(store: Store, clips: Sequence[Clip], how: How) -> list[Clip]:
+def split_clips(store: Store, clips: Sequence[Clip], how: ClipOptions) -> list[Clip]:
     """Assign each clip to the folder of a split; clips of takes with the same value of a column share a split.
 
     Takes without a value count as one group.
@@ -228,12 +228,12 @@ def _draw(seed: int, *content: object) -> str:
     return hashlib.sha256(json.dumps([seed, *content], default=str).encode()).hexdigest()
 
 
-def at_most_per_class(clips: Sequence[Clip], how: How) -> list[Clip]:
+def at_most_per_class(clips: Sequence[Clip], how: ClipOptions) -> list[Clip]:
     """Return at most `how.per_class` clips of each class, selected pseudo-randomly by content and seed."""
     return list(clips) if how.per_class is None else _drawn(clips, how.per_class, how.seed)
 
 
-def balanced_clips(clips: Sequence[Clip], how: How) -> list[Clip]:
+def balanced_clips(clips: Sequence[Clip], how: ClipOptions) -> list[Clip]:
     """Return equally many clips of each class in each split, as many as the rarest class has, by content and seed.
 
     Raises

@@ -19,7 +19,7 @@ _MOTION = "kinedex.storage.formats.motion"
 
 Kind = Literal["takes", "annotations", "labels", "hits", "ranges", "sql"]
 SPLITS = ("train", "val", "test")
-"""The names of splits, in the order of `How.shares`, which are also names of folders."""
+"""The names of splits, in the order of `ClipOptions.shares`, which are also names of folders."""
 
 CLIPS = "clips"
 """The folder of clips if there is no split."""
@@ -30,7 +30,7 @@ FORBID = {"extra": "forbid", "strict": True}
 
 
 @dataclass(frozen=True)
-class Form:
+class FileFormat:
     """A format of exported files; writers are named "module:function" and imported when first used.
 
     Attributes
@@ -65,33 +65,35 @@ class Form:
         resolve_name(self.channels)(paths, cut)
 
 
-FORMS = {
-    "csv": Form("joint positions as text", ("csv",), f"{_MOTION}.table_writer:write_csv"),
-    "parquet": Form("joint positions and words", ("parquet",), f"{_MOTION}.table_writer:write_parquet"),
-    "npz": Form("joints, also in SMPL's order, and words, for numpy", ("npz",), f"{_MOTION}.table_writer:write_npz"),
-    "bvh": Form(
+FILE_FORMATS = {
+    "csv": FileFormat("joint positions as text", ("csv",), f"{_MOTION}.table_writer:write_csv"),
+    "parquet": FileFormat("joint positions and words", ("parquet",), f"{_MOTION}.table_writer:write_parquet"),
+    "npz": FileFormat(
+        "joints, also in SMPL's order, and words, for numpy", ("npz",), f"{_MOTION}.table_writer:write_npz"
+    ),
+    "bvh": FileFormat(
         "the channels of a BVH source, or turns of a kinematic chain that is fitted to the joints",
         ("bvh",),
         f"{_MOTION}.bvh_writer:write_chain_bvh",
         channels=f"{_MOTION}.bvh_cuts:write_bvh_cut",
         sources=("bvh",),
     ),
-    "amc": Form(
+    "amc": FileFormat(
         "the channels of an AMC source, and its ASF skeleton",
         ("amc", "asf"),
         channels=f"{_MOTION}.amc_cuts:write_amc_cut",
         sources=("amc",),
     ),
-    "trc": Form("joints as markers, for OpenSim and Pose2Sim", ("trc",), f"{_MOTION}.table_writer:write_trc"),
-    "c3d": Form("joints as points, for programs of motion capture", ("c3d",), f"{_MOTION}.c3d_writer:write_c3d"),
-    "glb": Form("glTF: skeleton, animation and a stick figure", ("glb",), f"{_MOTION}.gltf_writer:write_gltf"),
-    "gif": Form("a film of a stick figure, a minute at most", ("gif",), "kinedex.reports.film:write_gif"),
-    "mp4": Form("such a film of any length (kinedex[film])", ("mp4",), "kinedex.reports.film:write_mp4"),
+    "trc": FileFormat("joints as markers, for OpenSim and Pose2Sim", ("trc",), f"{_MOTION}.table_writer:write_trc"),
+    "c3d": FileFormat("joints as points, for programs of motion capture", ("c3d",), f"{_MOTION}.c3d_writer:write_c3d"),
+    "glb": FileFormat("glTF: skeleton, animation and a stick figure", ("glb",), f"{_MOTION}.gltf_writer:write_gltf"),
+    "gif": FileFormat("a film of a stick figure, a minute at most", ("gif",), "kinedex.reports.film:write_gif"),
+    "mp4": FileFormat("such a film of any length (kinedex[film])", ("mp4",), "kinedex.reports.film:write_mp4"),
 }
 """The formats by name."""
 
 
-def form_named(name: str) -> Form:
+def format_named(name: str) -> FileFormat:
     """Return a format by its name.
 
     Raises
@@ -99,13 +101,15 @@ def form_named(name: str) -> Form:
     KinedexError
         There is no such format; the message lists the existing ones.
     """
-    if name not in FORMS:
-        raise KinedexError(f"no export format '{name}'{did_you_mean(name, FORMS)}; there are {', '.join(FORMS)}")
-    return FORMS[name]
+    if name not in FILE_FORMATS:
+        raise KinedexError(
+            f"no export format '{name}'{did_you_mean(name, FILE_FORMATS)}; there are {', '.join(FILE_FORMATS)}"
+        )
+    return FILE_FORMATS[name]
 
 
 @dataclass(frozen=True)
-class What:
+class IntervalSource:
     """The intervals to export.
 
     Attributes
@@ -175,13 +179,13 @@ def source_of(
 
 
 @dataclass(frozen=True)
-class How:
+class ClipOptions:
     """The format and processing of clips.
 
     Attributes
     ----------
     form : str
-        Name of the format, one of `FORMS`.
+        Name of the format, one of `FILE_FORMATS`.
     joints : bool
         Write the 24 joints even if the source's own channels could be exported in this format.
     margin : float
@@ -228,7 +232,7 @@ class How:
     distinct: float | None = None
 
     def __post_init__(self) -> None:
-        form_named(self.form)
+        format_named(self.form)
         for name in ("margin", "context", "min_length"):
             value = getattr(self, name)
             if not 0 <= value < float("inf"):

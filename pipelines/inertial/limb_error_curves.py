@@ -13,7 +13,15 @@ import pyarrow as pa
 import pyarrow.compute as pc
 
 from kinedex.ops.arrays import F64, Bool
-from kinedex.ops.inertial.disagreement import Run, RunRules, auto_tau, direction_errors, errors, jump_runs, runs
+from kinedex.ops.inertial.disagreement import (
+    Run,
+    RunRules,
+    auto_tau,
+    direction_errors,
+    frame_errors,
+    jump_runs,
+    wrong_runs,
+)
 from kinedex.ops.inertial.hand_eye import HeadingDrift
 from kinedex.ops.inertial.limb_orientation import NONE, long_axis
 from kinedex.ops.inertial.rotations import interpolate
@@ -143,7 +151,8 @@ def take_errors(
     tau = auto_tau((one.error, one.valid) for one in curves) if params.tau == "auto" else params.tau
     rules = RunRules(tau, params.low, params.gap_s, params.min_s)
     limb_runs = {
-        one.limb: (runs(one.error, one.valid, one.rate_hz, rules), jump_runs(one.error, one.jump)) for one in curves
+        one.limb: (wrong_runs(one.error, one.valid, one.rate_hz, rules), jump_runs(one.error, one.jump))
+        for one in curves
     }
     return TakeErrors(curves, tau, limb_runs, left_out)
 
@@ -168,7 +177,7 @@ def _curve(limb: LimbMotion, sensor: WornSensor, clock: Clock, row: Mapping[str,
     else:
         axis = long_axis(limb.orientation, limb.direction)
         swings = bool(np.isfinite(axis).all())
-        found = errors(orientation, limb.orientation, q_global, _values(row["q_mount"]), axis if swings else _ANY)
+        found = frame_errors(orientation, limb.orientation, q_global, _values(row["q_mount"]), axis if swings else _ANY)
         degrees = found.degrees
         swing, twist = (found.swing, found.twist) if swings else (gap, gap)
     judged = np.isfinite(degrees) | np.isfinite(swing)

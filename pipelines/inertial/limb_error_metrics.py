@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from kinedex.catalog.limbs import LIMBS
-from kinedex.catalog.printed_figures import PrintedFigures
+from kinedex.catalog.published_results import PublishedResults
 from kinedex.ops.arrays import I64
 from kinedex.ops.evaluation.metrics import Counts, compare
 from kinedex.ops.evaluation.threshold_counts import threshold_counts
@@ -113,7 +113,7 @@ def _without_gaps(segments: Sequence[tuple[int, int]], place: I64) -> I64:
     return found[found[:, 0] < found[:, 1]]
 
 
-def metric_rows(counts: LimbCounts, printed: PrintedFigures | None) -> Iterator[dict[str, Any]]:
+def metric_rows(counts: LimbCounts, printed: PublishedResults | None) -> Iterator[dict[str, Any]]:
     """Yield the rows of `limb_error_metrics`, for all limbs, groups and single limbs, by detector and annotator.
 
     Parameters

@@ -11,14 +11,14 @@ from pathlib import Path
 from kinedex.catalog.limbs import LIMB_NAMES
 from kinedex.ops.errors import KinedexError, SourceError, did_you_mean
 from kinedex.ops.intervals import source_frame
-from kinedex.ops.wording import counted, few
+from kinedex.ops.wording import counted, name_list
 from kinedex.pipelines.inertial.limb_error_curves import ERRORS, RUNS, JudgedLimb, judged_limbs
-from kinedex.pipelines.labels.segments import on_takes
+from kinedex.pipelines.labels.file_segments import with_take_names
 from kinedex.pipelines.labels.unmatched_labels import UnmatchedLabels, unmatched_labels
+from kinedex.storage.formats.labels.file_labels import ERROR, Label, LabelFile, LabelsOfTake, ManualSegment
 from kinedex.storage.formats.labels.formats import read_labels
-from kinedex.storage.formats.labels.segments import ERROR, Label, LabelFile, ManualSegment, TakeLabels
-from kinedex.storage.snapshot.labels import is_of_limbs
-from kinedex.storage.snapshot.shown_results import pipeline_of, pipelines_by_use
+from kinedex.storage.snapshot.stored_labels import is_of_limbs
+from kinedex.storage.snapshot.visible_results import pipeline_of, pipelines_by_use
 from kinedex.storage.store.store import Store
 
 UNNAMED = "unnamed"
@@ -80,12 +80,12 @@ def read_limb_labels(store: Store, paths: Iterable[Path]) -> LimbLabels:
                 "named after limbs, such as lshank or A1:lshank"
             )  # fmt: skip
         files.append(read_labels(path))
-    files, remarks = on_takes(store, files)
+    files, remarks = with_take_names(store, files)
     unmatched = unmatched_labels(files, store.take_ids)
     labels = LimbLabels(remarks=[*remarks, *map(str, unmatched)], unmatched=unmatched)
     others = set[str]().union(*(_add(labels, file) for file in files))
     if others:
-        labels.remarks.append(f"labels of other classes than {ERROR} are excluded: {few(sorted(others))}")
+        labels.remarks.append(f"labels of other classes than {ERROR} are excluded: {name_list(sorted(others))}")
     return labels
 
 
@@ -133,7 +133,7 @@ def stored_limb_labels(store: Store) -> LimbLabels:
             labels.segments.setdefault((annotator, take, one["limb"]), []).append(segment)
     if changed:
         labels.remarks.append(
-            f"labels may have moved, since files were changed after they were labelled: {few(sorted(changed))}"
+            f"labels may have moved, since files were changed after they were labelled: {name_list(sorted(changed))}"
         )
     return labels
 
@@ -202,12 +202,12 @@ def unused_labels(labels: LimbLabels, judged: Collection[tuple[str, str]], takes
     )
     remarks = [*labels.remarks]
     if named - set(takes):
-        remarks.append(f"labels of takes without sensors are excluded: {few(sorted(named - set(takes)))}")
+        remarks.append(f"labels of takes without sensors are excluded: {name_list(sorted(named - set(takes)))}")
     if limbs:
-        remarks.append(f"labels of limbs without sensors are excluded: {few(limbs)}")
+        remarks.append(f"labels of limbs without sensors are excluded: {name_list(limbs)}")
     silent = sorted(set(takes) - named)
     if silent:
-        remarks.append(f"takes with sensors that nobody has labelled are not evaluated: {few(silent)}")
+        remarks.append(f"takes with sensors that nobody has labelled are not evaluated: {name_list(silent)}")
     return remarks
 
 
@@ -242,14 +242,15 @@ def limb_error_stage(store: Store, wanted: str | None = None) -> str:
         raise KinedexError(f"no stage '{asked}' has compared limbs with sensors{did_you_mean(asked, stages)}")
     if len(fitting) > 1:
         raise KinedexError(
-            f"several stages of '{asked}' have compared limbs with sensors: {few(fitting)}; choose one with --stage"
+            f"several stages of '{asked}' have compared limbs with sensors: {name_list(fitting)}; choose one with "
+            "--stage"
         )
     return fitting[0]
 
 
 def limb_error_labels(
     store: Store, stage: str, takes: Sequence[str] = (), where: str | None = None
-) -> list[TakeLabels]:
+) -> list[LabelsOfTake]:
     """Return the runs in which limbs are wrong as labels of the class `error`, for each take; jumps are excluded.
 
     Limbs without such a run are listed as covered, so that label files show that they were compared.
@@ -276,13 +277,13 @@ def limb_error_labels(
         if row["kind"] == "distance":
             runs[row["take"]].append(Label(ERROR, row["start"], row["stop"], limb=row["limb"]))
     live = {str(row["name"]) for row in store.takes(where).iter_rows(named=True)}
-    found: dict[str, TakeLabels] = {}
+    found: dict[str, LabelsOfTake] = {}
     for limbs in judged_limbs(store, stage):
         one = limbs[0]
         own = tuple(sorted(runs[one.take], key=lambda label: (label.start, label.stop, label.limb)))
-        made = TakeLabels.made if record is None else record.finished
+        made = LabelsOfTake.made if record is None else record.finished
         covered = tuple((judged.limb, "") for judged in limbs)
-        found[one.take] = TakeLabels(one.take, one.rate_hz, len(one.error), own, made, covered)
+        found[one.take] = LabelsOfTake(one.take, one.rate_hz, len(one.error), own, made, covered)
     unknown = sorted(set(takes) - set(found))
     if unknown:
         raise KinedexError(

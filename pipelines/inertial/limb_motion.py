@@ -25,7 +25,7 @@ from kinedex.ops.inertial.limb_orientation import (
     segment_orientation,
     unit_direction,
 )
-from kinedex.storage.formats.motion.segments import Segments
+from kinedex.storage.formats.motion.body_limbs import BodyLimbs
 from kinedex.storage.snapshot.schemas import columns_table, result_schema
 from kinedex.storage.store.store import Store
 
@@ -95,7 +95,7 @@ class TakeLimbs:
     remarks: tuple[str, ...] = ()
 
 
-def take_limbs(segments: Segments, joints: Sequence[str], limbs: Iterable[str]) -> TakeLimbs:
+def take_limbs(segments: BodyLimbs, joints: Sequence[str], limbs: Iterable[str]) -> TakeLimbs:
     """Return the limbs of a take from the joints, node orientations and markers of its source.
 
     Parameters
@@ -108,21 +108,21 @@ def take_limbs(segments: Segments, joints: Sequence[str], limbs: Iterable[str]) 
         The names of the limbs to return.
     """
     body = segments.body
-    places = {joint: body.positions[i].T for i, joint in enumerate(joints) if joint not in body.unknown}
+    positions = {joint: body.positions[i].T for i, joint in enumerate(joints) if joint not in body.unknown}
     times = np.arange(body.frames) / body.rate_hz
     found: dict[str, LimbMotion] = {}
     lacking: dict[str, str] = {}
     remarks: list[str] = []
     for name in limbs:
         limb = LIMBS[name]
-        near, far = (places.get(joint) for joint in segments.ends.get(name, (limb.near, limb.far)))
+        near, far = (positions.get(joint) for joint in segments.ends.get(name, (limb.near, limb.far)))
         gap = np.full((body.frames, 3), np.nan)
         direction = unit_direction(near, far) if near is not None and far is not None else gap
         known = [place for place in (near, far) if place is not None]
         position = np.mean(known, axis=0) if known else gap
-        basis, orientation, fit = _orientation(limb, segments, places, remarks)
+        basis, orientation, fit = _orientation(limb, segments, positions, remarks)
         if basis == NONE:
-            reason = _missing(limb, places, body.estimated)
+            reason = _missing(limb, positions, body.estimated)
             if reason:
                 lacking[name] = reason
                 continue
@@ -134,11 +134,11 @@ def take_limbs(segments: Segments, joints: Sequence[str], limbs: Iterable[str]) 
 
 
 def _orientation(
-    limb: Limb, segments: Segments, places: dict[str, F64], remarks: list[str]
+    limb: Limb, segments: BodyLimbs, positions: dict[str, F64], remarks: list[str]
 ) -> tuple[str, F64, SegmentFit | None]:
     """Return the basis of a limb's orientation, the orientation (T, 4), and the fit of its markers if there are any."""
-    if limb.name in segments.turns:
-        return FULL, segments.turns[limb.name], None
+    if limb.name in segments.rotations:
+        return FULL, segments.rotations[limb.name], None
     if limb.name in segments.markers:
         try:
             fit = segment_orientation(common_markers(segments.markers[limb.name]))
@@ -146,25 +146,25 @@ def _orientation(
         except ParameterError as fault:
             remarks.append(f"{limb.name}: {fault}")
     trunk = _TRUNK.get(limb.name, ())
-    if trunk and all(joint in places for joint in trunk):
+    if trunk and all(joint in positions for joint in trunk):
         try:
-            fit = segment_orientation(np.stack([places[joint] for joint in trunk], axis=1))
+            fit = segment_orientation(np.stack([positions[joint] for joint in trunk], axis=1))
             return FULL, fit.orientation, None
         except ParameterError as fault:
             remarks.append(f"{limb.name}: {fault}")
-    if limb.bend is not None and all(joint in places for joint in (limb.near, limb.far, limb.bend)):
+    if limb.bend is not None and all(joint in positions for joint in (limb.near, limb.far, limb.bend)):
         beyond = JOINT_PARENTS[limb.bend] == limb.far
-        orientation, valid = hinge_orientation(places[limb.near], places[limb.far], places[limb.bend], beyond)
+        orientation, valid = hinge_orientation(positions[limb.near], positions[limb.far], positions[limb.bend], beyond)
         if valid.any():
             return HINGE, orientation, None
         remarks.append(f"{limb.name}: the hinge never bends by 15°, so that only its long axis is known")
     return NONE, np.full((segments.body.frames, 4), np.nan), None
 
 
-def _missing(limb: Limb, places: dict[str, F64], estimated: Sequence[str]) -> str:
+def _missing(limb: Limb, positions: dict[str, F64], estimated: Sequence[str]) -> str:
     """Return the reason why a limb has not even a direction; empty if it has one."""
     for joint in (limb.near, limb.far):
-        if joint not in places:
+        if joint not in positions:
             return f"the skeleton has no {joint}"
         if joint in estimated:
             return f"{joint} is estimated, and no node turns with the limb"

@@ -163,7 +163,7 @@ CalibrateParameters: type[CalibrationSettings] = create_model(
 CalibrateParameters.__doc__ = "The parameters of the stage `calibrate_sensors`."
 
 
-def known_limbs(limbs: list[str]) -> list[str]:
+def checked_limbs(limbs: list[str]) -> list[str]:
     """Check names of limbs or groups, and return them; a ValueError for an unknown name suggests the nearest."""
     try:
         chosen_limbs(limbs)
@@ -172,7 +172,7 @@ def known_limbs(limbs: list[str]) -> list[str]:
     return limbs
 
 
-Limbs = Annotated[list[str], AfterValidator(known_limbs)]
+Limbs = Annotated[list[str], AfterValidator(checked_limbs)]
 """Names of limbs or of groups of them."""
 
 

@@ -24,7 +24,7 @@ from kinedex.storage.store.store import Store
 CALIBRATION = "sensor_calibration"
 """The kind of results with a row for each sensor in each take."""
 
-MOST_FRAMES = 100_000
+MAX_FRAMES = 100_000
 """The largest number of frames of a limb that a calibration of several takes uses, spread evenly."""
 
 Clocks = Mapping[tuple[int, str], Clock]
@@ -313,7 +313,7 @@ def _thinned(streams: Sequence[Stream]) -> list[Stream]:
         frames[stream.limb] = frames.get(stream.limb, 0) + int(stream.valid.sum())
     thinned = []
     for stream in streams:
-        every = ceil(frames[stream.limb] / MOST_FRAMES)
+        every = ceil(frames[stream.limb] / MAX_FRAMES)
         valid = stream.valid
         if every > 1:
             valid = np.zeros(len(stream.valid), np.bool_)

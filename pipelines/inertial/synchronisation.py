@@ -9,20 +9,20 @@ import numpy as np
 
 from kinedex.ops.inertial.hand_eye import Options, Stream, StreamFit, calibrate
 from kinedex.ops.inertial.rotations import angular_speed, conjugate, multiply
-from kinedex.ops.inertial.time_offset import Fine, Speeds, find, find_drift, refine, sensor_speed
+from kinedex.ops.inertial.time_offset import FineSearch, Speeds, find_drift, find_offset, refine_offset, sensor_speed
 from kinedex.ops.inertial.whitened_offset import whitened_offset
 from kinedex.pipelines.inertial.limb_motion import LimbMotion
 from kinedex.pipelines.inertial.parameters import SynchroniseParameters
 from kinedex.pipelines.inertial.worn_sensors import Clock, WornSensor, WornTake, stream_of
 
-LEAST_DRIFT_S = 300.0
+MIN_DRIFT_S = 300.0
 """The shortest recording, in seconds, from which clock drift is estimated."""
 
-MOST_FRAMES = 15_000
+MAX_FRAMES = 15_000
 """The largest number of frames of each limb that the first calibration uses, spread evenly."""
 
 
-MOST_ROUNDS, STILL_S = 4, 1e-4
+MAX_ROUNDS, STILL_S = 4, 1e-4
 """The largest number of rounds of calibration and fine search, and the change in seconds at which they stop."""
 
 
@@ -65,7 +65,7 @@ def synchronise(take: WornTake, recording: str, params: SynchroniseParameters) -
     if not speeds:
         reason = "no limb with a sensor has an orientation; `offset_s: <seconds>` sets the offset"
         return RecordingClock(None, left_out=reason)
-    found = find(speeds, params.longest_s)
+    found = find_offset(speeds, params.longest_s)
     if found.refused:
         correlation, next_best = (None if np.isnan(one) else one for one in (found.correlation, found.next_best))
         return RecordingClock(None, correlation, next_best, len(speeds), left_out=found.refused)
@@ -88,22 +88,22 @@ def _refined(
     A search on a grid comes close to it, and least squares on whitened errors refine it. A wrong offset impairs the
     calibration slightly, so both are repeated until the clock hardly changes.
     """
-    for number in range(MOST_ROUNDS):
+    for number in range(MAX_ROUNDS):
         before = clock
         limbs = _fine_limbs(take, sensors, clock)
         if not limbs:
             return clock, number > 0
         seconds = max(float(limb.take_times[-1] - limb.take_times[0]) for limb in limbs)
-        drifts = params.clock == "drift" and seconds >= LEAST_DRIFT_S
+        drifts = params.clock == "drift" and seconds >= MIN_DRIFT_S
         if number == 0:
-            clock = Clock(*find_drift(limbs, clock.offset_s)) if drifts else Clock(refine(limbs, clock.offset_s))
+            clock = Clock(*find_drift(limbs, clock.offset_s)) if drifts else Clock(refine_offset(limbs, clock.offset_s))
         clock = Clock(*whitened_offset(limbs, clock.offset_s, clock.ppm, drifts))
         if abs(clock.offset_s - before.offset_s) < STILL_S and abs(clock.ppm - before.ppm) * seconds < 1e6 * STILL_S:
             break
     return clock, True
 
 
-def _fine_limbs(take: WornTake, sensors: list[WornSensor], clock: Clock) -> list[Fine]:
+def _fine_limbs(take: WornTake, sensors: list[WornSensor], clock: Clock) -> list[FineSearch]:
     """Calibrate sensors with a clock, and return the orientations predicted for each sensor beside its readings."""
     pairs = [(sensor, stream_of(take, sensor, clock)) for sensor in sensors]
     pairs = [(sensor, stream) for sensor, stream in pairs if stream.valid.any()]
@@ -119,7 +119,7 @@ def _first_fits(streams: list[Stream], magnetometers: bool) -> list[StreamFit]:
     for stream in streams:
         valid = np.flatnonzero(stream.valid)
         keep = np.zeros(len(stream.valid), np.bool_)
-        keep[valid[np.linspace(0, len(valid) - 1, min(len(valid), MOST_FRAMES)).astype(np.int64)]] = True
+        keep[valid[np.linspace(0, len(valid) - 1, min(len(valid), MAX_FRAMES)).astype(np.int64)]] = True
         some.append(replace(stream, valid=keep))
     level = Options(shared=magnetometers, drift=not magnetometers)
     fits = calibrate(some, level)
@@ -132,12 +132,12 @@ def _fitted(fits: list[StreamFit]) -> float:
     return sum(fit.inliers * fit.frames for fit in fits if not fit.refused)
 
 
-def _fine(sensor: WornSensor, stream: Stream, fit: StreamFit) -> Fine:
+def _fine(sensor: WornSensor, stream: Stream, fit: StreamFit) -> FineSearch:
     """Return the orientations that a sensor should have at the frames of a take, beside its readings."""
     times = stream.times[stream.valid]
     predicted = multiply(multiply(conjugate(fit.q_global), stream.track[stream.valid]), fit.q_mount)
     known = np.isfinite(sensor.orientation).all(axis=1)
-    return Fine(times, fit.drift.uncorrected(times, predicted), sensor.times[known], sensor.orientation[known])
+    return FineSearch(times, fit.drift.uncorrected(times, predicted), sensor.times[known], sensor.orientation[known])
 
 
 def sync_row(take_id: int, take: str, recording: str, found: RecordingClock) -> dict[str, Any]:

@@ -92,7 +92,7 @@ class ReusedTakes:
     def report(self, what: str) -> None:
         """Show how many takes were reused, if any; `what` names the work that was saved, such as "not read"."""
         if self.unchanged:
-            self._context.say(f"unchanged: {counted(self.unchanged, 'take')}, {what} again")
+            self._context.message(f"unchanged: {counted(self.unchanged, 'take')}, {what} again")
 
 
 def _are_sound(store: Store, stage: str, kinds: Iterable[str]) -> bool:

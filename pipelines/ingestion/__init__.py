@@ -1,1 +1,1 @@
-"""Ingestion of motion files: find changes of a source, read files in batches, store takes, and record failures."""
+"""Ingestion: find changes of a source, read motion files in batches, store takes, and read damaged takes again."""

@@ -73,12 +73,14 @@ def known_features(feature_set: FeatureSet, body: Body) -> int:
     """Return the mask of the features that are known for a body, with the bits of a word."""
     known = feature_set.known(body.unknown)
     if np.isnan(body.orientation).all():
-        turns = [one.number for one in feature_set.features if any(t.primitive == "turn_rate" for t in one.rule.terms)]
-        known &= ~sum(1 << (number - 1) for number in turns)
+        rotations = [
+            one.number for one in feature_set.features if any(t.primitive == "turn_rate" for t in one.rule.terms)
+        ]
+        known &= ~sum(1 << (number - 1) for number in rotations)
     return known
 
 
-def blind(feature_set: FeatureSet, body: Body) -> list[str]:
+def unknown_feature_warnings(feature_set: FeatureSet, body: Body) -> list[str]:
     """Return warnings on features that are unknown, or computed from fewer joints, because a skeleton lacks joints."""
     known = known_features(feature_set, body)
     if not body.unknown and known == feature_set.every_bit:
@@ -103,7 +105,7 @@ def figures_of(body: Body, joints: tuple[str, ...]) -> Plausibility:
     return plausibility(body.positions, joints, body.rate_hz, body.valid)
 
 
-def judged(body: Body, joints: tuple[str, ...], stored: Collection[str]) -> tuple[dict[str, Any], list[str]]:
+def measured_quality(body: Body, joints: tuple[str, ...], stored: Collection[str]) -> tuple[dict[str, Any], list[str]]:
     """Return the quality figures of a body, and warnings about it.
 
     Parameters
@@ -147,7 +149,7 @@ def body_row(
         The names of the quality figures that the store has (`stored_figures`).
     """
     known = known_features(feature_set, body)
-    figures, doubts = judged(body, feature_set.joints, stored)
+    figures, doubts = measured_quality(body, feature_set.joints, stored)
     return figures | {
         "skeleton": body.skeleton,
         "unit": body.unit,
@@ -157,7 +159,7 @@ def body_row(
         "frames": len(words),
         "seconds": in_seconds(body.frames, body.rate_hz),
         "invalid_frames": int(np.count_nonzero(words == NO_WORD)),
-        "warnings": [*body.warnings, *blind(feature_set, body), *doubts],
+        "warnings": [*body.warnings, *unknown_feature_warnings(feature_set, body), *doubts],
         "known": None if known == feature_set.every_bit else known,
     }
 

@@ -12,7 +12,7 @@ from kinedex.catalog.skeletons.mappings import Mappings
 from kinedex.ops.arrays import F64, U64
 from kinedex.ops.errors import SourceError, StoreError
 from kinedex.pipelines.ingestion.analysis import analyse, body_row
-from kinedex.pipelines.ingestion.failures import Failure, failure
+from kinedex.pipelines.ingestion.file_failures import Failure, file_failure
 from kinedex.pipelines.ingestion.memory_limit import MemoryShare
 from kinedex.pipelines.ingestion.metadata import group_values
 from kinedex.storage.formats.motion.reader import Body, MotionFile, ReadSettings
@@ -87,7 +87,7 @@ class Batch:
 
 
 @dataclass(frozen=True)
-class Written:
+class ReadBatch:
     """The result of reading a batch.
 
     Attributes
@@ -108,9 +108,9 @@ class Written:
     persons: dict[str, tuple[str, ...]] = field(default_factory=dict)
 
 
-def read_batch(batch: Batch) -> Written:
+def read_batch(batch: Batch) -> ReadBatch:
     """Read the files of one batch and write their frames as one part; runs in any process."""
-    done = Written([], None, [])
+    done = ReadBatch([], None, [])
     writer: FramesWriter | None = None
     try:
         for task in batch.tasks:
@@ -120,7 +120,7 @@ def read_batch(batch: Batch) -> Written:
                 raise
             except Exception as fault:
                 # an error in one file, even a defect or a lack of memory, must not affect the others
-                done.failures.append(failure(task.motion, fault, person=task.person))
+                done.failures.append(file_failure(task.motion, fault, person=task.person))
                 if batch.strict:
                     break
                 continue

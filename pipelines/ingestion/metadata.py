@@ -19,7 +19,7 @@ from kinedex.ops.errors import AcceptError, ConfigError, SourceError
 from kinedex.ops.wording import counted
 from kinedex.pipelines.ingestion.known_files import KnownFiles, Row
 from kinedex.pipelines.ingestion.parameters import IngestParameters
-from kinedex.pipelines.ingestion.pattern_proposal import matched, propose
+from kinedex.pipelines.ingestion.pattern_proposal import matched_count, propose_patterns
 from kinedex.storage.formats.metadata_tables import (
     KEYS,
     Cell,
@@ -43,7 +43,7 @@ NO_PATTERN = "its path matches no pattern of the config"
 _ORIGINS = ("pattern", "metadata")
 
 MEANING = "a column of the user's tables (`metadata` of ingest)"
-MOST_PATTERNS = 1000
+MAX_PATTERNS = 1000
 """The largest number of keys with * or ? in all tables, as each is compared with every take."""
 
 _EXAMPLES = 2
@@ -146,7 +146,7 @@ def rows_below(rows: Sequence[Row], found: Scan, root: str) -> list[Row]:
 
 
 @dataclass
-class Joined:
+class JoinedMetadata:
     """The metadata from tables, by take.
 
     Attributes
@@ -256,7 +256,7 @@ class Metadata:
                 found[name] = column
         return found, problems
 
-    def join(self, rows: Sequence[Row], root: str, declared: Mapping[str, TakeColumn]) -> Joined:
+    def join(self, rows: Sequence[Row], root: str, declared: Mapping[str, TakeColumn]) -> JoinedMetadata:
         """Match the rows of the tables with takes.
 
         A key is the name of a take; or the path of a file below the source, with or without extension; or the name of a
@@ -278,7 +278,7 @@ class Metadata:
             A key matches several files, or a take has two rows with a value in the same column; the message names the
             lines.
         """
-        result = Joined()
+        result = JoinedMetadata()
         if not self.tables and not self.sidecars:
             result.without = [row["name"] for row in rows]
             return result
@@ -294,8 +294,8 @@ class Metadata:
                 result.unused.append(row)
             for take in ids:
                 _add(exact.setdefault(take, {}), row, values, takes.names[take])
-        if len(patterns) > MOST_PATTERNS:
-            raise patterns[MOST_PATTERNS][0].error(f"is the key number {MOST_PATTERNS + 1:,} with * or ?; too many")
+        if len(patterns) > MAX_PATTERNS:
+            raise patterns[MAX_PATTERNS][0].error(f"is the key number {MAX_PATTERNS + 1:,} with * or ?; too many")
         for row, pattern in patterns:
             ids = takes.fitting(pattern)
             if not ids:
@@ -382,7 +382,7 @@ class _Takes:
         return [take for take, name in self.names.items() if pattern.match(name) or pattern.match(self._paths[take])]
 
 
-def lies_in_source(root: str, given: Sequence[str]) -> str | None:
+def metadata_in_source(root: str, given: Sequence[str]) -> str | None:
     """Return the path of a table `metadata.csv` (.tsv, .yaml, .yml) in a source that was not given; None for none."""
     tables = (os.path.join(root, f"metadata{ending}") for ending in (".csv", ".tsv", ".yaml", ".yml"))
     known = {os.path.realpath(path) for path in given}
@@ -399,7 +399,7 @@ def unused_lines(metadata: Metadata) -> list[str]:
     return [f"{begin}{', such as' if count > 2 else ':'} {shown}"]
 
 
-def join_lines(metadata: Metadata, joined: Joined) -> list[str]:
+def join_lines(metadata: Metadata, joined: JoinedMetadata) -> list[str]:
     """Return messages about a join: the described takes, the rows without a take, and the takes without a row."""
     lines = unused_lines(metadata)
     if not metadata.tables and not metadata.sidecars:
@@ -432,7 +432,7 @@ def _unnamed_key_lines(table: MetadataTable) -> list[str]:
     return [line]
 
 
-def descriptions(params: IngestParameters, joined: Joined) -> Descriptions:
+def descriptions(params: IngestParameters, joined: JoinedMetadata) -> Descriptions:
     """Return the metadata that patterns and joined tables give to the takes of a source."""
     return Descriptions(tuple(map(re.compile, params.patterns)), joined.values)
 
@@ -491,7 +491,7 @@ def unmatched_line(params: IngestParameters, unmatched: Sequence[str], found: Sc
         f"{len(unmatched):,} of {counted(len(found.motions), 'path')} {verb} no pattern, such as {examples}: {whose} "
         "neither class nor actor. "
     )
-    if matched(propose(motion.path for motion in found.motions), unmatched):
+    if matched_count(propose_patterns(motion.path for motion in found.motions), unmatched):
         root = shlex.quote(found.motions[0].root)
         return (
             f"{line}`kinedex init {root} -o my.yaml` proposes patterns, and `kinedex run my.yaml --store "

@@ -14,13 +14,13 @@ SEPARATORS = ("_", "-", " ", ".")
 USUAL = 0.8
 """The smallest fraction of names that must contain a separator for it to divide them."""
 
-_MOST_FIELDS = 12
+_MAX_FIELDS = 12
 
 _NUMBERED = re.compile(r"(.*?[^0-9])([0-9]+)")
 _CAMEL = re.compile(r"[A-Z]?[a-z]+|[A-Z]+(?![a-z])|[0-9]+")
 _WORDS = re.compile(r"[A-Z]?[a-z]+|[A-Z]+(?![a-z])")
 
-MOST_PATTERNS = 8
+MAX_PATTERNS = 8
 """The largest number of patterns in a proposal; paths of further layouts count as unmatched."""
 
 _MOTIONS = frozenset(
@@ -191,7 +191,7 @@ def _with_free_field(by_count: dict[int, list[str]], separator: str) -> Layout |
     """
     groups = [[stem_of(path).split(separator) for path in paths] for paths in by_count.values()]
     least = min(by_count)
-    if least > _MOST_FIELDS:
+    if least > _MAX_FIELDS:
         return None
     best: tuple[int, int] | None = None
     for before in range(least):
@@ -283,7 +283,7 @@ class Proposal:
         return True
 
 
-def propose(paths: Iterable[str]) -> list[Proposal]:
+def propose_patterns(paths: Iterable[str]) -> list[Proposal]:
     """Propose patterns for paths, in the order in which to try them: first for deeper paths and more fields.
 
     Parameters
@@ -293,7 +293,7 @@ def propose(paths: Iterable[str]) -> list[Proposal]:
     """
     found: list[Proposal] = []
     for layout in layouts(paths):
-        if len(found) == MOST_PATTERNS:
+        if len(found) == MAX_PATTERNS:
             break
         proposal = Proposal(layout, tuple(_tokens(layout, found)))
         if any(token.role for token in proposal.tokens) and proposal.fits:
@@ -305,7 +305,7 @@ def propose(paths: Iterable[str]) -> list[Proposal]:
     return [found[number] for number in order]
 
 
-def matched(proposals: Sequence[Proposal], paths: Iterable[str]) -> int:
+def matched_count(proposals: Sequence[Proposal], paths: Iterable[str]) -> int:
     """Return the number of paths that at least one of the patterns matches."""
     compiled = [re.compile(proposal.pattern) for proposal in proposals]
     return sum(any(pattern.search(path) for pattern in compiled) for path in paths)

@@ -14,7 +14,7 @@ import yaml
 from kinedex.ops.wording import counted, visible
 from kinedex.pipelines.ingestion.pattern_proposal import Proposal, Token
 
-_MOST = 0.34
+_MAX_HELD_OUT = 0.34
 """The largest fraction of the takes that is held out."""
 
 _VALUES = 5
@@ -23,7 +23,7 @@ _VALUES = 5
 _EVERY = 4
 """If there is no column to divide by, each take whose number is divisible by this is held out."""
 
-MOST_VALUES = 12
+MAX_VALUES = 12
 """The largest number of values of a token that a comment lists."""
 
 _WIDEST = 110
@@ -120,7 +120,7 @@ def _held_out(classes: Sequence[str], values: Sequence[str]) -> list[str]:
     of_value.pop("", None)
     left, found, covered = Counter(classes), list[str](), set[str]()
     while len(found) < _VALUES and len(covered) < len(left):
-        room = _MOST * len(classes) - (len(classes) - left.total())
+        room = _MAX_HELD_OUT * len(classes) - (len(classes) - left.total())
         fitting = {
             value: len(set(own) - covered)
             for value, own in of_value.items()
@@ -142,7 +142,7 @@ def value_counts(token: Token, most: int) -> str:
     return shown + (f" and {len(counts) - most:,} more" if len(counts) > most else "")
 
 
-def draft(proposals: Sequence[Proposal], source: Path, count: int, matched: int, output: str) -> str:
+def draft_pipeline(proposals: Sequence[Proposal], source: Path, count: int, matched: int, output: str) -> str:
     """Return the text of a pipeline file.
 
     If every take has a class, some takes are held out of training, annotated, and evaluated by their classes. Stages
@@ -208,7 +208,7 @@ def _patterns(proposals: Sequence[Proposal]) -> list[str]:
         )
         for token in (token for token in proposal.tokens if token.role):
             number = counted(len(token.column.counts), "value")
-            text = f"{token.role} ({token.why}): {number}: {value_counts(token, MOST_VALUES)}"
+            text = f"{token.role} ({token.why}): {number}: {value_counts(token, MAX_VALUES)}"
             begin = "        #   "
             lines += textwrap.wrap(text, _WIDEST, initial_indent=begin, subsequent_indent=f"{begin}  ")
         lines.append(f"        - {_scalar(proposal.pattern)}")

@@ -1,1 +1,1 @@
-"""Inspect motion, depth and sensor files: their content, how they are read, and duplicates among takes."""
+"""Inspect motion, depth and sensor files before they are read, and archives: duplicates, and the map of takes."""

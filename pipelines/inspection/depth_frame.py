@@ -9,12 +9,12 @@ import numpy as np
 
 from kinedex.catalog.depth_cameras import DepthCamera, Placement, placement_of
 from kinedex.ops.arrays import F32
-from kinedex.ops.depth.extrema import Extrema, extrema_room, find_source, geodesic_extrema, tips_first
+from kinedex.ops.depth.extrema import Extrema, extrema_buffers, find_source, geodesic_extrema, tips_first
 from kinedex.ops.depth.graph import PointGraph, build_graph
 from kinedex.ops.depth.points import FrameCloud, choose_stride
-from kinedex.ops.depth.tracker import LEAST_POINTS
+from kinedex.ops.depth.tracker import MIN_POINTS
 from kinedex.ops.wording import counted
-from kinedex.pipelines.inspection.inspection import Inspection
+from kinedex.pipelines.inspection.motion_file import Inspection
 from kinedex.pipelines.reconstruction.recording_tracks import make_scene
 from kinedex.storage.formats.depth.camera_file import read_camera
 from kinedex.storage.formats.depth.frames import read_frame
@@ -88,8 +88,8 @@ def inspect_depth_frame(
     source = find_source(cloud, graph) if len(cloud.points) else -1
     extrema = None
     if source >= 0:
-        space = extrema_room(len(cloud.points))
-        extrema = tips_first(cloud, graph, geodesic_extrema(graph, source, room=space), space)
+        space = extrema_buffers(len(cloud.points))
+        extrema = tips_first(cloud, graph, geodesic_extrema(graph, source, buffers=space), space)
     return InspectedFrame(camera, image, stride, placement, cloud, graph, source, extrema)
 
 
@@ -103,7 +103,7 @@ def frame_facts(found: InspectedFrame) -> Inspection:
         facts.add("depths", f"{seen.min():.2f} to {seen.max():.2f} m, {np.median(seen):.2f} m in the median")
     facts.add_all("camera", found.placement.notes or ("its file states where it stands",))
     points = counted(len(cloud.points), "point")
-    few = f"; fewer than {LEAST_POINTS}: nobody" if len(cloud.points) < LEAST_POINTS else ""
+    few = f"; fewer than {MIN_POINTS}: nobody" if len(cloud.points) < MIN_POINTS else ""
     facts.add("foreground", f"{points}, every {found.stride}. row and column{few}")
     links = counted(found.graph.links, "link")
     body = counted(int(found.graph.body.sum()), "point")

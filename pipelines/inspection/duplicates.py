@@ -226,7 +226,7 @@ class _Poses:
 
     def hold(self, takes: set[str]) -> None:
         """Hold the joint positions of the given takes in memory, and free all others."""
-        self._held = {take: places for take, places in self._held.items() if take in takes}
+        self._held = {take: positions for take, positions in self._held.items() if take in takes}
         for take, frames in self._store.frames_of(takes - self._held.keys()):
             self._held[take] = np.ascontiguousarray(joint_positions(frames, self._joints).transpose(2, 0, 1))
 
@@ -236,19 +236,19 @@ class _Poses:
         return self._cached.put((take, mirrored), self._local(take, mirrored)) if kept is None else kept
 
     def _local(self, take: str, mirrored: bool) -> F32:
-        joints, places = self._joints, self._held[take]
-        frame = next(self._turned_by(joints, places), [0, 0, 0])
+        joints, positions = self._joints, self._held[take]
+        frame = next(self._turned_by(joints, positions), [0, 0, 0])
         if mirrored:
-            places = places[:, [joints.index(_other_side(joint, joints)) for joint in joints]]
-        return local_poses(np.ascontiguousarray(places), *frame, mirrored=mirrored)
+            positions = positions[:, [joints.index(_other_side(joint, joints)) for joint in joints]]
+        return local_poses(np.ascontiguousarray(positions), *frame, mirrored=mirrored)
 
     @staticmethod
-    def _turned_by(joints: list[str], places: F32) -> Iterator[list[int]]:
+    def _turned_by(joints: list[str], positions: F32) -> Iterator[list[int]]:
         """Yield the sets of joints by which poses can be turned."""
         for names in _FRAMES:
             if all(name in joints for name in names):
                 found = [joints.index(name) for name in names]
-                if np.isfinite(places[:, found]).any():
+                if np.isfinite(positions[:, found]).any():
                     yield found
 
 

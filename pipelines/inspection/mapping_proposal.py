@@ -8,7 +8,7 @@ from pathlib import Path
 
 from kinedex.catalog.configs import read_text, scalar
 from kinedex.catalog.features import load_feature_set
-from kinedex.catalog.skeletons.mappings import Question, WatchedMappings, load_mappings
+from kinedex.catalog.skeletons.mappings import MappingRequest, WatchedMappings, load_mappings
 from kinedex.catalog.skeletons.recognition.points import propose_points
 from kinedex.catalog.skeletons.recognition.proposal import mapping_yaml
 from kinedex.catalog.skeletons.recognition.recognised_tree import propose_tree
@@ -56,7 +56,7 @@ def propose_mapping(
     return _comment(file, person, fault) + _proposal(asked, mappings, joints, name)
 
 
-def _proposal(asked: Question, mappings: WatchedMappings, joints: tuple[str, ...], name: str) -> str:
+def _proposal(asked: MappingRequest, mappings: WatchedMappings, joints: tuple[str, ...], name: str) -> str:
     """Return the mapping that matches, the one that recognition proposes, or the nearest one with its missing nodes."""
     if asked.form is None:
         return ""
@@ -89,8 +89,8 @@ def _of_nodes(fit: Fit, nodes: Mapping[str, int]) -> Fit:
 
     choices = {joint: tuple(map(of_seen, mixes)) for joint, mixes in fit.mapping.joints.items()}
     joints = {joint: of_seen(mix) for joint, mix in fit.joints.items()}
-    places = {name: index for name, index in fit.places.items() if name in nodes}
-    return replace(fit, mapping=replace(fit.mapping, joints=choices), joints=joints, places=places)
+    positions = {name: index for name, index in fit.indices.items() if name in nodes}
+    return replace(fit, mapping=replace(fit.mapping, joints=choices), joints=joints, indices=positions)
 
 
 def _comment(file: Path, person: str, fault: SourceError | None) -> str:
@@ -110,7 +110,7 @@ def _renamed(fit: Fit, name: str) -> str:
     return f"# A copy of the mapping '{fit.mapping.name}'.\n" + "\n".join(lines) + "\n"
 
 
-def _lacking(near: Fit, asked: Question) -> str:
+def _lacking(near: Fit, asked: MappingRequest) -> str:
     """Return comments on the nodes of the nearest mapping that a file lacks, and on the nodes that the file has."""
     lines = [f"# The file has no '{node}', for {what}." for what, node in near.missing.items()]
     return "\n".join([*lines, f"# Its nodes: {', '.join(asked.nodes)}"]) + "\n"

@@ -11,7 +11,7 @@ import numpy as np
 from kinedex.catalog.sensorsets import SensorSet
 from kinedex.ops.inertial.readings import compare_with_orientation, rests, typical_length
 from kinedex.ops.wording import counted
-from kinedex.pipelines.inspection.inspection import Inspection
+from kinedex.pipelines.inspection.motion_file import Inspection
 from kinedex.storage.formats.imu.recording import FORMATS, ImuRecording, ImuSensor, read_recording
 from kinedex.storage.formats.imu.signals import GRAVITY
 

@@ -1,1 +1,1 @@
-"""Learn keyframe queries in rounds of learning runs, which are spread over workers."""
+"""Keyframe queries: search them in stores and in words, explain and propose them, and learn them from clips."""

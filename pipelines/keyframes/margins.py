@@ -66,12 +66,12 @@ def margins_of(
         Frames before and after a hit, for each query.
     """
     takes = as_takes(clips)
-    reached = [Reach(takes, query, features) for query in queries]
+    reached = [HitReach(takes, query, features) for query in queries]
     learned = [reach.farthest() for reach in reached]
     return _shared(reached, learned) if policy == "shared" else learned
 
 
-class Reach:
+class HitReach:
     """The hits of one query in concatenated clips."""
 
     def __init__(self, takes: TakeWords, query: Individual, features: int) -> None:
@@ -99,7 +99,7 @@ class Reach:
         return covered
 
 
-def _shared(reached: Sequence[Reach], learned: Sequence[tuple[int, int]]) -> list[tuple[int, int]]:
+def _shared(reached: Sequence[HitReach], learned: Sequence[tuple[int, int]]) -> list[tuple[int, int]]:
     """Shorten the longest margin by one frame, as often as this leaves no frame of a clip uncovered.
 
     No margin becomes shorter than one part in `ALONE`, because a motion of another person may be found by only one of
@@ -119,6 +119,6 @@ def _shared(reached: Sequence[Reach], learned: Sequence[tuple[int, int]]) -> lis
     return [(left, right) for left, right in margins]
 
 
-def _covered_by(reached: Sequence[Reach], margins: Sequence[Sequence[int]]) -> Bool:
+def _covered_by(reached: Sequence[HitReach], margins: Sequence[Sequence[int]]) -> Bool:
     covered: Bool = np.any([reach.covered(*pair) for reach, pair in zip(reached, margins, strict=True)], axis=0)
     return covered

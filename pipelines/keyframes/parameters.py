@@ -8,11 +8,11 @@ from pydantic import ConfigDict, Field
 
 from kinedex.catalog.classes import OWN
 from kinedex.ops.keyframes.consensus import AtLeast
-from kinedex.ops.keyframes.training_task import MOST_KEYFRAMES, EvolutionSettings
+from kinedex.ops.keyframes.training_task import MAX_KEYFRAMES, EvolutionSettings
 from kinedex.pipelines.engine.file_parameters import NamesFile
-from kinedex.pipelines.keyframes.learning import Learner, Setting, allowed_features
+from kinedex.pipelines.keyframes.learning_runs import GROUP, PATIENCE, SETTLED, Rounds
 from kinedex.pipelines.keyframes.margins import Margins
-from kinedex.pipelines.keyframes.runs import GROUP, PATIENCE, SETTLED, Rounds
+from kinedex.pipelines.keyframes.query_learning import Learner, LearningSettings, allowed_features
 from kinedex.pipelines.templates.examples import ExampleParameters
 from kinedex.storage.store.store import Store
 
@@ -22,7 +22,7 @@ class KeyframeParameters(ExampleParameters):
 
     `configs/pipelines/keyframes.yaml` sets the values that are best for finding motions of people who are not in the
     training set. Values that are not parameters are constants: those of the genetic algorithm are the defaults of
-    `EvolutionSettings`, those of rounds are in `kinedex.pipelines.keyframes.runs`.
+    `EvolutionSettings`, those of rounds are in `kinedex.pipelines.keyframes.learning_runs`.
     """
 
     model_config = ConfigDict(extra="forbid", allow_inf_nan=False)
@@ -41,7 +41,7 @@ class KeyframeParameters(ExampleParameters):
     least_keyframes: int = Field(
         2,
         ge=1,
-        le=MOST_KEYFRAMES,
+        le=MAX_KEYFRAMES,
         description="least number of keyframes of an initial individual; recombination or consensus may give fewer",
     )
 
@@ -73,9 +73,9 @@ class KeyframeParameters(ExampleParameters):
         return Rounds(1 if self.learner == "greedy" else self.runs, GROUP, PATIENCE, SETTLED)
 
 
-def setting_of(params: KeyframeParameters, store: Store) -> Setting:
+def setting_of(params: KeyframeParameters, store: Store) -> LearningSettings:
     """Return the learning parameters for the features of a store."""
-    return Setting(
+    return LearningSettings(
         learner=params.learner,
         evolution=params.evolution(),
         delta=params.delta,

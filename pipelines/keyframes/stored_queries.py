@@ -10,9 +10,9 @@ import pyarrow as pa
 from kinedex.catalog.features import FeatureSet
 from kinedex.catalog.queries.keyframe_query import Keyframe, KeyframeQuery, features_of
 from kinedex.ops.errors import KinedexError, did_you_mean
-from kinedex.pipelines.keyframes.learning import Outcome, keyframe_queries
-from kinedex.pipelines.keyframes.runs import outcomes_of
-from kinedex.storage.snapshot.shown_results import pipeline_of, shown_pipeline
+from kinedex.pipelines.keyframes.learning_runs import outcomes_of
+from kinedex.pipelines.keyframes.query_learning import Outcome, keyframe_queries
+from kinedex.storage.snapshot.visible_results import pipeline_of, shown_pipeline
 from kinedex.storage.store.store import Store
 
 _OVERVIEW = pa.schema(
@@ -97,7 +97,7 @@ def stored_queries(store: Store, classes: Sequence[str] | None = None, pipeline:
     return StoredQueries(chosen, frozenset(found), stage, tuple(others))
 
 
-def overview(outcomes: Sequence[Outcome], feature_set: FeatureSet, taken: Collection[str]) -> pa.Table:
+def queries_overview(outcomes: Sequence[Outcome], feature_set: FeatureSet, taken: Collection[str]) -> pa.Table:
     """Return a row for each query with its origin, its keyframes, and the scores of the queries of its class.
 
     Precision and recall are those of all queries of a class together on the training clips, and are in its first row
@@ -124,14 +124,14 @@ def overview(outcomes: Sequence[Outcome], feature_set: FeatureSet, taken: Collec
                     "precision": round(outcome.precision, 3) if number == 0 else None,
                     "recall": round(outcome.recall, 3) if number == 0 else None,
                     "fitness": round(outcome.consensus.fitness, 3) if number == 0 else None,
-                    "keyframes": sentence(query, feature_set),
+                    "keyframes": query_sentence(query, feature_set),
                     "margins": f"{query.margins[0]} {query.margins[1]}",
                 }
             )
     return pa.Table.from_pylist(rows, schema=_OVERVIEW)
 
 
-def sentence(query: KeyframeQuery, feature_set: FeatureSet) -> str:
+def query_sentence(query: KeyframeQuery, feature_set: FeatureSet) -> str:
     """Return a query as one line: features that are on, features that are off with a minus, and gaps in frames."""
     text = _words(query.keyframes[0], feature_set)
     for gap, keyframe in zip(query.gaps, query.keyframes[1:], strict=True):

@@ -11,11 +11,17 @@ import polars as pl
 import pyarrow as pa
 
 from kinedex.ops.errors import KinedexError, ParameterError
-from kinedex.ops.wording import few
-from kinedex.pipelines.annotation.tables import annotate_stage, annotated_takes
-from kinedex.pipelines.labels.segments import Difference, PlacedFiles, differences, placed_files, segment_of
+from kinedex.ops.wording import name_list
+from kinedex.pipelines.annotation.annotation_tables import annotated_takes, annotation_stage
+from kinedex.pipelines.labels.file_segments import (
+    PlacedFiles,
+    SegmentDifference,
+    placed_files,
+    segment_differences,
+    segment_of,
+)
 from kinedex.pipelines.labels.unmatched_labels import UnmatchedLabels
-from kinedex.storage.formats.labels.segments import LabelFile, ManualSegment
+from kinedex.storage.formats.labels.file_labels import LabelFile, ManualSegment
 from kinedex.storage.snapshot.schemas import labels_schema
 from kinedex.storage.store.result_changes import record_labels
 from kinedex.storage.store.store import Store, data_frame
@@ -24,13 +30,13 @@ Row = dict[str, Any]
 
 
 @dataclass(frozen=True)
-class Proposed:
+class ProposedDecisions:
     """Decisions that are not recorded yet.
 
     Attributes
     ----------
     rows : tuple of dict
-        Rows for `record`.
+        Rows for `record_decisions`.
     remarks : tuple of str
         Remarks on what was excluded.
     unmatched : tuple of UnmatchedLabels
@@ -43,7 +49,7 @@ class Proposed:
 
 
 @dataclass(frozen=True)
-class Recorded:
+class RecordedDecisions:
     """Labels that were recorded.
 
     Attributes
@@ -80,7 +86,7 @@ def counts_of(rows: Iterable[Mapping[str, Any]]) -> dict[str, int]:
     return dict(Counter(names.get(pair) or by_verdict.get(pair[0], pair[1]) for pair in pairs))
 
 
-def record(store: Store, rows: Sequence[Mapping[str, Any]], remarks: Iterable[str] = ()) -> Recorded:
+def record_decisions(store: Store, rows: Sequence[Mapping[str, Any]], remarks: Iterable[str] = ()) -> RecordedDecisions:
     """Record decisions; those that the store already has are skipped, and those with another verdict are replaced.
 
     Parameters
@@ -98,13 +104,13 @@ def record(store: Store, rows: Sequence[Mapping[str, Any]], remarks: Iterable[st
     table = pa.Table.from_pylist(new, schema=labels_schema())
     recorded = record_labels(store.path, table)
     store.forget_labels()
-    return Recorded(recorded, known, tuple(remarks))
+    return RecordedDecisions(recorded, known, tuple(remarks))
 
 
 def new_rows(store: Store, rows: Iterable[Mapping[str, Any]]) -> tuple[list[Row], int]:
     """Return the rows of decisions that a store does not have yet, and the number of decisions that it has.
 
-    A decision replaces an existing one with another verdict; parameters are those of `record`.
+    A decision replaces an existing one with another verdict; parameters are those of `record_decisions`.
     """
     standing = {key: row for row in store.labels().to_pylist() for key in _keys(row, row["class"])}
     new: list[Row] = []
@@ -133,11 +139,13 @@ def _keys(row: Mapping[str, Any], name: str) -> tuple[tuple[object, ...], tuple[
 
 def annotations_of(store: Store, stage: str | None) -> tuple[str, pa.Table]:
     """Return the name of an annotation stage, "<pipeline>/<stage>", by default the current one, and its annotations."""
-    chosen = annotate_stage(store, stage)
+    chosen = annotation_stage(store, stage)
     return chosen, store.result("annotations", run=store.manifest.stages[chosen].run)
 
 
-def decide(store: Store, annotations: pl.DataFrame, *, accept: bool, source: str = "", **more: str | None) -> Recorded:
+def decide_annotations(
+    store: Store, annotations: pl.DataFrame, *, accept: bool, source: str = "", **more: str | None
+) -> RecordedDecisions:
     """Record decisions on annotations as labels: accepted ones are positive, rejected ones negative.
 
     The label of an accepted annotation has its subclass, and becomes an example of it; the label of a rejected one has
@@ -161,11 +169,11 @@ def decide(store: Store, annotations: pl.DataFrame, *, accept: bool, source: str
         pipeline, stage = one.get("pipeline"), one.get("stage")
         named = f"{pipeline}/{stage}" if pipeline and stage else ""
         rows.append(decision_row(one, accept, source or named, more))
-    return record(store, rows)
+    return record_decisions(store, rows)
 
 
 def decision_row(one: Mapping[str, Any], accept: bool, source: str, more: Mapping[str, str | None]) -> Row:
-    """Return the row of a decision on an annotation; parameters are those of `decide`."""
+    """Return the row of a decision on an annotation; parameters are those of `decide_annotations`."""
     return {
         "take": one["take"],
         "class": (one.get("subclass") or one["class"]) if accept else one["class"],
@@ -180,7 +188,7 @@ def decision_row(one: Mapping[str, Any], accept: bool, source: str, more: Mappin
     }
 
 
-def withdraw(store: Store, labels: pl.DataFrame, **more: str | None) -> Recorded:
+def withdraw_labels(store: Store, labels: pl.DataFrame, **more: str | None) -> RecordedDecisions:
     """Withdraw labels: each gets a row that withdraws it, and remains in the history.
 
     Parameters
@@ -192,7 +200,7 @@ def withdraw(store: Store, labels: pl.DataFrame, **more: str | None) -> Recorded
     **more : str, optional
         `annotator` and `note`.
     """
-    return record(store, [withdrawal(one) | more for one in labels.iter_rows(named=True)])
+    return record_decisions(store, [withdrawal(one) | more for one in labels.iter_rows(named=True)])
 
 
 def withdrawal(label: Mapping[str, Any]) -> Row:
@@ -226,7 +234,7 @@ def import_labels(
     corrects: str | None = None,
     stage: str | None = None,
     **more: str | None,
-) -> Recorded:
+) -> RecordedDecisions:
     """Record the segments of label files as labels, with their limbs and annotators, or as a person's corrections.
 
     If somebody has examined a limb of a take, or all limbs, without marking an error, a negative label `error` of the
@@ -259,7 +267,7 @@ def import_labels(
         are none in these takes.
     """
     proposed = proposed_labels(store, files, corrects, stage, **more)
-    return replace(record(store, proposed.rows, proposed.remarks), unmatched=proposed.unmatched)
+    return replace(record_decisions(store, proposed.rows, proposed.remarks), unmatched=proposed.unmatched)
 
 
 def proposed_labels(
@@ -268,7 +276,7 @@ def proposed_labels(
     corrects: str | None = None,
     stage: str | None = None,
     **more: str | None,
-) -> Proposed:
+) -> ProposedDecisions:
     """Return what `import_labels` would record; parameters and errors are those of `import_labels`."""
     if corrects not in (None, "annotations", "labels"):
         raise ParameterError("corrects", '"annotations" or "labels"', corrects)
@@ -276,34 +284,34 @@ def proposed_labels(
     if corrects == "annotations":
         return _corrected_annotations(store, placed, stage, more)
     if corrects == "labels":
-        return Proposed(tuple(_corrected_labels(store, placed, more)), placed.remarks, placed.unmatched)
+        return ProposedDecisions(tuple(_corrected_labels(store, placed, more)), placed.remarks, placed.unmatched)
     rows = [_drawn(one, "imported", more) for one in placed.segments]
     rows += [_drawn(one, "imported", more) | {"verdict": "negative", "of_person": True} for one in placed.covered]
-    return Proposed(tuple(rows), placed.remarks, placed.unmatched)
+    return ProposedDecisions(tuple(rows), placed.remarks, placed.unmatched)
 
 
 def _corrected_annotations(
     store: Store, placed: PlacedFiles, stage: str | None, more: Mapping[str, str | None]
-) -> Proposed:
+) -> ProposedDecisions:
     chosen, annotations = annotations_of(store, stage)
     annotated = set(annotated_takes(store, chosen)["name"])
     takes = [take for take in placed.takes if take in annotated]
     if not takes:
         raise KinedexError(f"stage {chosen} annotated none of the takes of these files, such as {placed.takes[0]}")
     others = sorted(set(placed.takes) - annotated)
-    remarks = [*placed.remarks, *([f"takes that {chosen} did not annotate: {few(others)}"] if others else [])]
+    remarks = [*placed.remarks, *([f"takes that {chosen} did not annotate: {name_list(others)}"] if others else [])]
     known = {segment_of(row): row for row in annotations.to_pylist() if row["take"] in takes}
     after = [one for one in placed.segments if one.take in annotated]
-    found = differences(known, after)
+    found = segment_differences(known, after)
     decided = _decided_otherwise(store, [known[one.before] for one in found if one.before and one.change == "same"])
     if decided:
         shown = [f"{one.label} in {one.take}[{one.start}:{one.stop}]" for one in decided]
         remarks.append(
-            f"unchanged, and rejected or moved by a person before, which stays: {few(shown)}; "
+            f"unchanged, and rejected or moved by a person before, which stays: {name_list(shown)}; "
             "`kinedex labels accept` accepts them"
         )
     rows = (row for one in found if one.before not in decided for row in _corrections(one, known, chosen, more))
-    return Proposed(tuple(rows), tuple(remarks), placed.unmatched)
+    return ProposedDecisions(tuple(rows), tuple(remarks), placed.unmatched)
 
 
 def _decided_otherwise(store: Store, annotations: Iterable[Row]) -> list[ManualSegment]:
@@ -327,7 +335,7 @@ def _decided_otherwise(store: Store, annotations: Iterable[Row]) -> list[ManualS
 def _corrected_labels(store: Store, placed: PlacedFiles, more: Mapping[str, str | None]) -> Iterator[Row]:
     rows = store.labels().to_pylist()
     known = {segment_of(row): row for row in rows if row["take"] in placed.takes and row["verdict"] == "positive"}
-    for one in differences(known, placed.segments):
+    for one in segment_differences(known, placed.segments):
         before = known[one.before] if one.before is not None else None
         if one.after is not None and one.change != "same":
             row = _drawn(one.after, "drawn" if before is None else "corrected", more)
@@ -337,7 +345,7 @@ def _corrected_labels(store: Store, placed: PlacedFiles, more: Mapping[str, str 
 
 
 def _corrections(
-    one: Difference, known: Mapping[ManualSegment, Row], stage: str, more: Mapping[str, str | None]
+    one: SegmentDifference, known: Mapping[ManualSegment, Row], stage: str, more: Mapping[str, str | None]
 ) -> list[Row]:
     before = known[one.before] if one.before is not None else None
     if before is not None and one.change == "same":

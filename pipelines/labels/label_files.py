@@ -13,14 +13,14 @@ import pyarrow as pa
 
 from kinedex.ops.errors import KinedexError, did_you_mean
 from kinedex.ops.intervals import source_frame
-from kinedex.pipelines.annotation.tables import annotated_takes
-from kinedex.pipelines.labels.segments import Difference, differences, placed_files
-from kinedex.pipelines.labels.selection import Rejections
+from kinedex.pipelines.annotation.annotation_tables import annotated_takes
+from kinedex.pipelines.labels.file_segments import SegmentDifference, placed_files, segment_differences
+from kinedex.pipelines.labels.row_selection import Rejections
 from kinedex.pipelines.labels.unmatched_labels import UnmatchedLabels
+from kinedex.storage.formats.labels.file_labels import Label, LabelFile, LabelsOfTake
 from kinedex.storage.formats.labels.formats import FORMATS, read_labels
-from kinedex.storage.formats.labels.segments import Label, LabelFile, TakeLabels
-from kinedex.storage.formats.labels.tables import OPTIONAL
-from kinedex.storage.snapshot.labels import is_of_limbs
+from kinedex.storage.formats.labels.label_tables import OPTIONAL
+from kinedex.storage.snapshot.stored_labels import is_of_limbs
 from kinedex.storage.store.store import Store
 
 _SECONDS = 0.0015
@@ -61,7 +61,7 @@ def label_files(paths: Iterable[Path]) -> list[LabelFile]:
 
 
 @dataclass(frozen=True)
-class Differences:
+class FileDifferences:
     """The differences between label files.
 
     Attributes
@@ -83,7 +83,7 @@ class Differences:
     unmatched: tuple[UnmatchedLabels, ...] = ()
 
 
-def label_differences(before: Path, after: Path, store: Store | None = None, *, every: bool = False) -> Differences:
+def label_differences(before: Path, after: Path, store: Store | None = None, *, every: bool = False) -> FileDifferences:
     """Return the differences between label files as rows.
 
     Parameters
@@ -118,9 +118,9 @@ def label_differences(before: Path, after: Path, store: Store | None = None, *, 
             )
         old, new = ([one for file in side for one in file.segments] for side in files)
         unit = "seconds" if True in units else "source frames"
-    found = differences(old, new, _SECONDS if unit == "seconds" else 0.0)
+    found = segment_differences(old, new, _SECONDS if unit == "seconds" else 0.0)
     rows = [_row(one, unit) for one in found if every or one.change != "same"]
-    return Differences(known_columns(rows, _SCHEMA), unit, tuple(dict.fromkeys(remarks)), tuple(unmatched))
+    return FileDifferences(known_columns(rows, _SCHEMA), unit, tuple(dict.fromkeys(remarks)), tuple(unmatched))
 
 
 def known_columns(rows: list[dict[str, object]], schema: pa.Schema) -> pa.Table:
@@ -130,7 +130,7 @@ def known_columns(rows: list[dict[str, object]], schema: pa.Schema) -> pa.Table:
     return table.drop_columns(list(OPTIONAL)) if empty else table
 
 
-def _row(one: Difference, unit: str) -> dict[str, object]:
+def _row(one: SegmentDifference, unit: str) -> dict[str, object]:
     """Return a difference as a row; an added segment has no values before, a removed one none after."""
     row: dict[str, object] = {"change": one.change, "unit": unit}
     row |= {"limb": one.shown.limb or None, "annotator": one.shown.annotator or None}
@@ -154,11 +154,13 @@ class AnnotationLabels:
         The number of annotations excluded because a person has rejected them.
     """
 
-    takes: list[TakeLabels]
+    takes: list[LabelsOfTake]
     rejected: int
 
 
-def labels_of(store: Store, stage: str, takes: Sequence[str] = (), where: str | None = None) -> AnnotationLabels:
+def annotation_labels(
+    store: Store, stage: str, takes: Sequence[str] = (), where: str | None = None
+) -> AnnotationLabels:
     """Return the annotations of a stage for each take, except those that a person has rejected.
 
     Parameters
@@ -203,7 +205,7 @@ def labels_of(store: Store, stage: str, takes: Sequence[str] = (), where: str | 
     return AnnotationLabels([_of_take(row, found[name], record.finished) for name, row in rows.items()], rejected)
 
 
-def labels_kept(store: Store, takes: Sequence[str] = (), where: str | None = None) -> list[TakeLabels]:
+def stored_labels(store: Store, takes: Sequence[str] = (), where: str | None = None) -> list[LabelsOfTake]:
     """Return the labels by people that a store holds, for each take.
 
     Negative labels are excluded, except those of limbs, by which label files record that an annotator has examined a
@@ -237,7 +239,7 @@ def labels_kept(store: Store, takes: Sequence[str] = (), where: str | None = Non
     return [_of_take(row, found[name], made, covered[name]) for name, row in rows.items() if name in found]
 
 
-def classes_of_takes(store: Store, takes: Sequence[str] = (), where: str | None = None) -> list[TakeLabels]:
+def classes_of_takes(store: Store, takes: Sequence[str] = (), where: str | None = None) -> list[LabelsOfTake]:
     """Return the class that each take has from its path or a table, as one label of all of its frames.
 
     Parameters
@@ -272,9 +274,9 @@ def classes_of_takes(store: Store, takes: Sequence[str] = (), where: str | None 
 
 def _of_take(
     take: Mapping[str, Any], labels: Iterable[Label], made: str, covered: Iterable[tuple[str, str]] = ()
-) -> TakeLabels:
+) -> LabelsOfTake:
     rate_hz, frames = float(take["source_rate_hz"]), int(take["source_frames"])
-    return TakeLabels(str(take["name"]), rate_hz, frames, tuple(labels), made, tuple(covered))
+    return LabelsOfTake(str(take["name"]), rate_hz, frames, tuple(labels), made, tuple(covered))
 
 
 def _label(one: Mapping[str, Any], take: Mapping[str, Any]) -> Label:

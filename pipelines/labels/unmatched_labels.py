@@ -6,8 +6,8 @@ from collections.abc import Collection, Iterable, Mapping
 from dataclasses import asdict, dataclass
 from typing import Any
 
-from kinedex.ops.wording import counted, few
-from kinedex.storage.formats.labels.segments import LabelFile
+from kinedex.ops.wording import counted, name_list
+from kinedex.storage.formats.labels.file_labels import LabelFile
 
 UNMATCHED = "unmatched_labels"
 """The key of labels that match no take, in the summary of a stage and in the JSON output of commands."""
@@ -36,7 +36,7 @@ class UnmatchedLabels:
 
     def __str__(self) -> str:
         verb = "matches" if self.labels == 1 else "match"
-        return f"{self.file}: {self.labels:,} of {counted(self.of, 'label')} {verb} no take: {few(self.takes)}"
+        return f"{self.file}: {self.labels:,} of {counted(self.of, 'label')} {verb} no take: {name_list(self.takes)}"
 
     def as_json(self) -> dict[str, Any]:
         """Return the attributes as a JSON object."""

@@ -16,7 +16,7 @@ from kinedex.catalog.depth_cameras import DepthCamera
 from kinedex.ops.arrays import F32, F64
 from kinedex.ops.body.joint_tree import JOINTS
 from kinedex.ops.errors import KinedexError, SourceError
-from kinedex.pipelines.reconstruction.live import LiveTracker
+from kinedex.pipelines.reconstruction.live_tracker import LiveTracker
 from kinedex.storage.formats.depth.frame_files import IMAGES, RAW
 from kinedex.storage.formats.depth.frames import read_frame
 from kinedex.storage.formats.depth.png import frame_number
@@ -27,7 +27,7 @@ POLL_S = 0.004
 PATIENCE_S = 0.5
 """Seconds for which an unreadable file must be unchanged to count as damaged; before, it may still be being written."""
 
-MOST_STEP, STEPS, MOST_JUMP = 5, 3, 100_000
+MAX_STEP, STEPS, MAX_JUMP = 5, 3, 100_000
 """Limits for frame numbers in file names: step and number of steps above which they count no frames; largest gap."""
 
 
@@ -91,7 +91,7 @@ class FollowedFrame:
 
 
 def follow_folder(
-    tracker: LiveTracker, folder: Path, idle_s: float | None = None, say: Callable[[str], object] = print
+    tracker: LiveTracker, folder: Path, idle_s: float | None = None, message: Callable[[str], object] = print
 ) -> Iterator[FollowedFrame]:
     """Yield the frames of a folder by ascending numbers, first the existing ones and then new ones as they appear.
 
@@ -106,7 +106,7 @@ def follow_folder(
         The folder that files appear in.
     idle_s : float, optional
         Seconds without a new file after which the iteration ends; by default it never ends.
-    say : callable, optional
+    message : callable, optional
         Shows a line about files that are skipped.
 
     Raises
@@ -127,7 +127,7 @@ def follow_folder(
             if number is None or number <= last:
                 if (number is None) not in reported:
                     reported.add(number is None)
-                    say(f"{path.name} {_reason(number, last)}")
+                    message(f"{path.name} {_reason(number, last)}")
                 continue
             if last >= 0:
                 steps.append(number - last)
@@ -150,7 +150,7 @@ def _reason(number: int | None, last: int) -> str:
 
 def _check_steps(path: Path, steps: Sequence[int]) -> None:
     """Raise a SourceError if the numbers in the names of the last files do not count frames."""
-    if steps[-1] > MOST_JUMP or (len(steps) == STEPS and min(steps) > MOST_STEP):
+    if steps[-1] > MAX_JUMP or (len(steps) == STEPS and min(steps) > MAX_STEP):
         raise SourceError(
             path, f"the last numbers in the names go up by {steps[-1]}, and must count frames; let the camera "
             "write depth_000000.png, depth_000001.png, …",

@@ -6,8 +6,8 @@ from typing import Annotated, Literal
 
 from pydantic import Field
 
-from kinedex.ops.depth.pose_database import DISTANCE_M
 from kinedex.ops.depth.pose_fit import Form
+from kinedex.ops.depth.thinned_poses import DISTANCE_M
 from kinedex.ops.depth.tracker import Hypothesis, TrackerSettings
 from kinedex.pipelines.engine.file_parameters import NamesFile, StageParameters
 

@@ -28,7 +28,7 @@ from kinedex.pipelines.reconstruction.recording_tracks import (
     RecordingTrack,
     Scene,
 )
-from kinedex.pipelines.recordings.recorded_takes import Provenance
+from kinedex.pipelines.tracking.recorded_takes import Provenance
 from kinedex.storage.formats.motion.points import root_orientation
 from kinedex.storage.formats.motion.reader import SHORT_GAP_S, Body
 from kinedex.storage.snapshot.schemas import DEPTH_FORMAT, result_schema
@@ -161,8 +161,8 @@ class ReconstructionResult:
     @property
     def poses(self) -> F64:
         """The joint positions in the world, float64 (T, 24, 3), smoothed if requested; NaN without a person."""
-        places = self.scene.placement.in_world(self.track.poses)
-        return places if self.params.smooth_hz is None else low_pass(places, self.rate_hz, self.params.smooth_hz)
+        positions = self.scene.placement.in_world(self.track.poses)
+        return positions if self.params.smooth_hz is None else low_pass(positions, self.rate_hz, self.params.smooth_hz)
 
     def table(self, kind: str, run: str) -> pa.Table:
         """Return the results of one kind ("reconstructions", "reconstruction_frames", "depth_votes") as a table."""

@@ -18,7 +18,7 @@ from kinedex.ops.body.kinematic_chain import forward
 from kinedex.ops.body.pose_fit import fit_poses, measured_body
 from kinedex.ops.depth.pose_distance import COMPARED, END_EFFECTORS, are_ends_found
 from kinedex.ops.errors import KinedexError, did_you_mean
-from kinedex.pipelines.recordings.recorded_takes import Truth, at_rate, read_truth
+from kinedex.pipelines.tracking.recorded_takes import TruePositions, at_rate, read_truth
 from kinedex.storage.formats.depth.recording import recording_truth
 from kinedex.storage.formats.motion.c3d import Markers, parse_c3d
 from kinedex.storage.formats.motion.positions import parse_positions
@@ -106,7 +106,9 @@ def stored_reconstruction(row: Mapping[str, Any], frames: pa.Table) -> Reconstru
     return Reconstruction(row, poses, extrema)
 
 
-def compare(store: Store, found: Reconstruction, file: DepthRecordingsFile, truth: str | None) -> Comparison | None:
+def compare_with_truth(
+    store: Store, found: Reconstruction, file: DepthRecordingsFile, truth: str | None
+) -> Comparison | None:
     """Compare a take with its truth.
 
     Parameters
@@ -137,7 +139,7 @@ def compare(store: Store, found: Reconstruction, file: DepthRecordingsFile, trut
         return None
     if entry.markers and truth is None:
         return _compare_markers(found, file, Path(given))
-    known = truth_places(store, file, name, str(given), float(found.row["rate_hz"]), JOINTS)
+    known = true_positions(store, file, name, str(given), float(found.row["rate_hz"]), JOINTS)
     poses, own = found.poses, known.joints.transpose(2, 0, 1)
     count = min(len(poses), len(own))
     gaps = np.linalg.norm(poses[:count, COMPARED] - own[:count, COMPARED], axis=2)
@@ -149,9 +151,9 @@ def compare(store: Store, found: Reconstruction, file: DepthRecordingsFile, trut
     return Comparison(found.row, given.name if isinstance(given, Path) else given, names, gaps, known_frames, ends)
 
 
-def truth_places(
+def true_positions(
     store: Store, file: DepthRecordingsFile, name: str, truth: str, rate_hz: float, joints: tuple[str, ...]
-) -> Truth:
+) -> TruePositions:
     """Return the true joint positions of a recording in the world, at a given rate.
 
     Parameters
@@ -175,15 +177,15 @@ def truth_places(
         The truth cannot be read.
     """
     known = read_truth(store, truth, Path(), joints, rate_hz)
-    places = _in_world(at_rate(known.joints, known.rate_hz, rate_hz), file.entry(name).truth_pose)
-    return Truth(known.name, places, rate_hz)
+    positions = _in_world(at_rate(known.joints, known.rate_hz, rate_hz), file.entry(name).truth_pose)
+    return TruePositions(known.name, positions, rate_hz)
 
 
-def _in_world(places: F64, pose: WorldPose | None) -> F64:
+def _in_world(positions: F64, pose: WorldPose | None) -> F64:
     """Return positions (J, 3, T) in the world."""
     if pose is None:
-        return places
-    turned: F64 = np.einsum("ab,jbt->jat", np.array(pose.rotation), places) + np.array(pose.place)[None, :, None]
+        return positions
+    turned: F64 = np.einsum("ab,jbt->jat", np.array(pose.rotation), positions) + np.array(pose.place)[None, :, None]
     return turned
 
 
@@ -191,19 +193,19 @@ def _compare_markers(found: Reconstruction, file: DepthRecordingsFile, path: Pat
     name, rate_hz = str(found.row["recording"]), float(found.row["rate_hz"])
     entry = file.entry(name)
     markers, source_hz = _markers(file, name, path)
-    places = _in_world(at_rate(markers, source_hz or rate_hz, rate_hz), entry.truth_pose).transpose(2, 0, 1)
-    count = min(len(found.poses), len(places))
-    places, poses = places[:count], found.poses[:count]
+    positions = _in_world(at_rate(markers, source_hz or rate_hz, rate_hz), entry.truth_pose).transpose(2, 0, 1)
+    count = min(len(found.poses), len(positions))
+    positions, poses = positions[:count], found.poses[:count]
     chain = load_kinematic_chain()
     seen = np.isfinite(poses).all(axis=(1, 2))
     joints = np.ascontiguousarray(poses[seen][:, [JOINTS.index(one) for one in chain.joints]].transpose(1, 2, 0))
     body = measured_body(chain, joints)
-    turns = np.full((count, len(chain.nodes), 3, 3), np.nan)
-    turns[seen] = forward(body, fit_poses(body, joints))[1]
+    rotations = np.full((count, len(chain.nodes), 3, 3), np.nan)
+    rotations[seen] = forward(body, fit_poses(body, joints))[1]
     gaps, offsets = np.full((count, len(entry.markers)), np.nan), {}
     for m, (marker, joint) in enumerate(entry.markers.items()):
-        turn = turns[:, chain.rest[chain.joint(joint)].node]
-        away = places[:, m] - poses[:, JOINTS.index(joint)]
+        turn = rotations[:, chain.rest[chain.joint(joint)].node]
+        away = positions[:, m] - poses[:, JOINTS.index(joint)]
         own = np.einsum("tba,tb->ta", turn, away)
         usable = np.flatnonzero(np.isfinite(own).all(axis=1))
         if not len(usable):
@@ -211,7 +213,7 @@ def _compare_markers(found: Reconstruction, file: DepthRecordingsFile, path: Pat
         first = usable[usable < usable[0] + max(1, round(OFFSET_SECONDS * rate_hz))]
         offsets[marker] = own[first].mean(axis=0)
         gaps[:, m] = np.linalg.norm(own - offsets[marker], axis=1)
-    known: Bool = np.any(np.isfinite(places).all(axis=2), axis=1)
+    known: Bool = np.any(np.isfinite(positions).all(axis=2), axis=1)
     return Comparison(found.row, path.name, tuple(entry.markers), gaps, known, None, offsets)
 
 
@@ -223,7 +225,7 @@ def _markers(file: DepthRecordingsFile, name: str, path: Path) -> tuple[F64, flo
         listed = ", ".join(_MARKER_FILES)
         raise file.error(name, "truth", f"'{path.name}' holds no markers that are read; expected one of {listed}")
     points = parse_c3d(path) if ending == ".c3d" else parse_positions(path)
-    at = points.places()
+    at = points.indices()
     rows = []
     for marker, joint in entry.markers.items():
         if marker not in at:
@@ -231,12 +233,12 @@ def _markers(file: DepthRecordingsFile, name: str, path: Path) -> tuple[F64, flo
         if joint not in JOINTS:
             raise file.error(name, "markers", f"no joint is called '{joint}'{did_you_mean(joint, JOINTS)}")
         rows.append(points.positions[at[marker]])
-    places = np.stack(rows)
-    largest = float(np.nanmax(np.abs(places)))
-    places = places * (points.unit_m or (0.001 if largest > _LARGEST_ROOM else 1.0))
+    positions = np.stack(rows)
+    largest = float(np.nanmax(np.abs(positions)))
+    positions = positions * (points.unit_m or (0.001 if largest > _LARGEST_ROOM else 1.0))
     if entry.truth_pose is None and isinstance(points, Markers) and points.up in _UPRIGHT:
-        places = np.einsum("ab,jbt->jat", _UPRIGHT[points.up], places)
-    return places, points.rate_hz or points.clock_hz
+        positions = np.einsum("ab,jbt->jat", _UPRIGHT[points.up], positions)
+    return positions, points.rate_hz or points.clock_hz
 
 
 def error_rows(found: Sequence[Comparison]) -> list[dict[str, Any]]:

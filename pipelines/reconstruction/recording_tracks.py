@@ -18,16 +18,16 @@ from kinedex.ops.depth.extrema import COUNT
 from kinedex.ops.depth.image_search import DepthView, depth_view
 from kinedex.ops.depth.low_pass import choose_directions
 from kinedex.ops.depth.points import Preparation, choose_stride, ray_table
-from kinedex.ops.depth.pose_database import facing_of
 from kinedex.ops.depth.pose_fit import PoseCost
 from kinedex.ops.depth.size_estimate import LIMITS_M, SECONDS, STEP_M, estimate_size
-from kinedex.ops.depth.tracker import LEAST_POINTS, Candidate, FrameResult, Hypothesis, Reconstructor, TrackerSettings
+from kinedex.ops.depth.thinned_poses import facing_of
+from kinedex.ops.depth.tracker import MIN_POINTS, Candidate, FrameResult, Hypothesis, Reconstructor, TrackerSettings
 from kinedex.ops.errors import KinedexError, ParameterError
 from kinedex.ops.wording import counted
 from kinedex.pipelines.reconstruction.parameters import ESTIMATE
-from kinedex.pipelines.reconstruction.pose_database import PoseDatabase
+from kinedex.pipelines.reconstruction.stored_poses import PoseDatabase
 from kinedex.storage.formats.depth.recording import DepthRecording
-from kinedex.storage.formats.depth.recording_checks import MOST_BEHIND
+from kinedex.storage.formats.depth.recording_checks import MAX_BEHIND
 
 _HYPOTHESES: tuple[Hypothesis | None, ...] = (None, "local", "database")
 _FIRST_ROOM = 256
@@ -66,10 +66,10 @@ LYING_SHARE = 0.4
 TURNED_DEGREES = 45.0
 """The angle, in degrees, between facing direction and camera above which a person counts as turned away."""
 
-MOST_COST_M = 0.1
+MAX_COST_M = 0.1
 """The median cost of poses, in metres, above which a body fits badly; 3 to 6 cm are typical."""
 
-_MOST_RANGES = 8
+_MAX_RANGES = 8
 
 
 def _layout(candidates: int) -> np.dtype[np.void]:
@@ -282,14 +282,14 @@ def make_scene(camera: DepthCamera, background: F32 | None, placement: Placement
     return Scene(placement, preparation, view, stride)
 
 
-def looked_through(camera: DepthCamera, background: F32 | None, placement: Placement) -> Scene:
+def coarse_camera(camera: DepthCamera, background: F32 | None, placement: Placement) -> Scene:
     """Return a camera with reduced resolution, in which a person is first searched."""
     return make_scene(camera, background, placement, max(1, camera.size[0] // _COARSE_PX))
 
 
 def shows_person(coarse: Scene, image: F32) -> bool:
     """Return whether an image shows a person to a camera of reduced resolution."""
-    return len(coarse.preparation.prepare(image).points) * coarse.stride**2 >= LEAST_POINTS
+    return len(coarse.preparation.prepare(image).points) * coarse.stride**2 >= MIN_POINTS
 
 
 def first_images(recording: DepthRecording, placement: Placement, count: int) -> list[F32]:
@@ -300,7 +300,7 @@ def first_images(recording: DepthRecording, placement: Placement, count: int) ->
     UnusableRecording
         No frame shows a person.
     """
-    coarse = looked_through(recording.camera, recording.background, placement)
+    coarse = coarse_camera(recording.camera, recording.background, placement)
     found: list[F32] = []
     for t in range(len(recording.frames)):
         image = recording.frames[t]
@@ -311,7 +311,7 @@ def first_images(recording: DepthRecording, placement: Placement, count: int) ->
             break
     if not found:
         raise UnusableRecording(
-            "background", f"no frame shows a person, who takes at least {LEAST_POINTS} pixels before the background; "
+            "background", f"no frame shows a person, who takes at least {MIN_POINTS} pixels before the background; "
             "are background and `depth_unit_m` those of these images?",
         )  # fmt: skip
     return found
@@ -403,7 +403,7 @@ def track_recording(
             image = None if t in moved or t in missing else recording.frames[t]
             if image is None:
                 missing.update({t} - moved)
-            elif is_empty_room and contradicts(image, recording.background):
+            elif is_empty_room and is_camera_moved(image, recording.background):
                 moved.add(t)
                 image = None
             yield t, image
@@ -420,9 +420,9 @@ def track_recording(
     return RecordingTrack(tuple(tracks), chosen, tuple(sorted(moved)), tuple(sorted(missing)))
 
 
-def contradicts(image: F32, background: F32 | None) -> bool:
-    """Return whether more than `MOST_BEHIND` of an image lies behind the empty room, so that the camera was moved."""
-    return background is not None and behind_share(image, background) > MOST_BEHIND
+def is_camera_moved(image: F32, background: F32 | None) -> bool:
+    """Return whether more than `MAX_BEHIND` of an image lies behind the empty room, so that the camera was moved."""
+    return background is not None and behind_share(image, background) > MAX_BEHIND
 
 
 def _results(tracker: Reconstructor, images: Iterable[tuple[int, F32 | None]], frames: int) -> FrameRecords:
@@ -509,7 +509,7 @@ def fit_remarks(track: RecordingTrack, bones: PersonBones) -> list[str]:
     found = []
     costs = np.where(track.chosen == 0, track.directions[0].costs, track.directions[-1].costs)
     cost = float(np.nanmedian(costs))
-    if cost > MOST_COST_M:
+    if cost > MAX_COST_M:
         found.append(
             f"the body fits the points badly: half of the poses cost more than {100 * cost:.0f} cm, usual are 3 to 6; "
             "are fx, fy, `depth_unit_m` and `body` those of this recording, and does nothing but the person stand "
@@ -531,6 +531,6 @@ def listed_frames(frames: Sequence[int]) -> str:
             ranges[-1][1] = t
         else:
             ranges.append([t, t])
-    texts = [str(first) if first == last else f"{first}–{last}" for first, last in ranges[:_MOST_RANGES]]
-    more = f" and {len(ranges) - _MOST_RANGES} more ranges" if len(ranges) > _MOST_RANGES else ""
+    texts = [str(first) if first == last else f"{first}–{last}" for first, last in ranges[:_MAX_RANGES]]
+    more = f" and {len(ranges) - _MAX_RANGES} more ranges" if len(ranges) > _MAX_RANGES else ""
     return ", ".join(texts) + more

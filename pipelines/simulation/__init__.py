@@ -1,1 +1,1 @@
-"""Simulate recordings of takes of a store, by cameras, depth cameras and inertial sensors."""
+"""Simulate recordings of takes, by cameras, depth cameras and inertial sensors, and make the synthetic archive."""

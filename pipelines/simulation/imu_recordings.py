@@ -18,22 +18,22 @@ from kinedex.ops.errors import KinedexError, ParameterError
 from kinedex.ops.wording import counted
 from kinedex.pipelines.engine.display import Progress
 from kinedex.pipelines.inertial.limb_motion import LimbMotion, stored_limbs
-from kinedex.pipelines.inertial.limb_sources import limb_tasks, read_limbs, with_stored_body
+from kinedex.pipelines.inertial.source_limbs import limb_tasks, read_limbs, with_stored_body
 from kinedex.pipelines.simulation.imu_files import CLOCKLESS, WRITERS, readme
 from kinedex.pipelines.simulation.imu_sensors import (
-    LEAST_SECONDS,
+    MIN_SECONDS,
     SampledPiece,
-    Wearing,
-    Worn,
+    TakeSensors,
+    WearOptions,
     sample_piece,
     take_pieces,
     worn_sensors,
 )
-from kinedex.pipelines.simulation.recording_files import chosen_takes, new_folder, recording_names, require_new
+from kinedex.pipelines.simulation.recording_folder import chosen_takes, new_folder, recording_names, require_new
 from kinedex.storage.formats.csv_tables import csv_line
 from kinedex.storage.store.store import Store
 
-LEAST_SHARE = 0.5
+MIN_SHARE = 0.5
 """The fraction of a window above which the class that covers most of it becomes its class."""
 
 RECORDINGS = "recordings"
@@ -131,13 +131,13 @@ def window_rows(
     for start in range(0, samples - width + 1, step):
         shares = (sums[:, start + width] - sums[:, start]) / width
         best = int(np.argmax(shares)) if len(classes) else -1
-        clear = best >= 0 and shares[best] > LEAST_SHARE
+        clear = best >= 0 and shares[best] > MIN_SHARE
         found.append((start, start + width, classes[best] if clear else "", float(shares[best]) if best >= 0 else 0.0))
     return found
 
 
 @dataclass(frozen=True)
-class Request:
+class ImuRequest:
     """A request to simulate inertial sensors.
 
     Attributes
@@ -156,7 +156,7 @@ class Request:
 
     limbs: tuple[str, ...] = ()
     grade: str = "good"
-    wearing: Wearing = field(default_factory=Wearing)
+    wearing: WearOptions = field(default_factory=WearOptions)
     form: str = "parquet"
     windowing: Windowing = field(default_factory=Windowing)
 
@@ -168,7 +168,7 @@ class Request:
     @property
     def least_seconds(self) -> float:
         """The smallest length of a piece of a take in seconds: that of a window, within 0.5 to 2 s, or 3 samples."""
-        return min(LEAST_SECONDS, max(0.5, self.windowing.seconds, 3.0 / self.wearing.rate_hz))
+        return min(MIN_SECONDS, max(0.5, self.windowing.seconds, 3.0 / self.wearing.rate_hz))
 
 
 @dataclass(frozen=True, eq=False)
@@ -197,7 +197,7 @@ class TakeToSimulate:
 
 
 @dataclass
-class Simulated:
+class SimulatedSensors:
     """The recordings that were made.
 
     Attributes
@@ -230,7 +230,7 @@ class Simulated:
     seconds: float = 0.0
     samples: int = 0
     clipped: int = 0
-    least_seconds: float = LEAST_SECONDS
+    least_seconds: float = MIN_SECONDS
     short: int = 0
     lost_frames: int = 0
     without: dict[str, list[str]] = field(default_factory=dict)
@@ -270,8 +270,8 @@ def _few(names: list[str], most: int = 3) -> str:
 
 
 def write_data_set(
-    folder: Path, names: list[str], takes: Iterable[TakeToSimulate], request: Request, progress: Progress
-) -> Simulated:
+    folder: Path, names: list[str], takes: Iterable[TakeToSimulate], request: ImuRequest, progress: Progress
+) -> SimulatedSensors:
     """Write a data set of simulated sensors into an empty folder; the result is reproducible to the byte.
 
     Parameters
@@ -298,17 +298,17 @@ def write_data_set(
 class _DataSet:
     """A data set that is being written."""
 
-    def __init__(self, folder: Path, homes: Mapping[str, str], request: Request) -> None:
+    def __init__(self, folder: Path, homes: Mapping[str, str], request: ImuRequest) -> None:
         self.folder, self.homes, self.request = folder, homes, request
         self.wearing = replace(request.wearing, grade=load_grade(request.grade))
-        self.made = Simulated(least_seconds=request.least_seconds)
+        self.made = SimulatedSensors(least_seconds=request.least_seconds)
         self.entries: dict[str, Any] = {}
         self.segments: list[list[object]] = []
         self.windows: list[list[object]] = []
         self.truth: list[list[object]] = []
         self.limbs: dict[str, None] = {}
 
-    def write(self, takes: Iterable[TakeToSimulate], progress: Progress) -> Simulated:
+    def write(self, takes: Iterable[TakeToSimulate], progress: Progress) -> SimulatedSensors:
         """Write the simulated recordings of all takes and the tables of the data set, and return a summary."""
         (self.folder / RECORDINGS).mkdir()
         with progress("sensors", len(self.homes)) as bar:
@@ -356,7 +356,7 @@ class _DataSet:
         made.recordings[take.take] = files
         self.entries[take.take] = {"actor": take.actor, "source_hz": take.source_hz, "files": files}
 
-    def _tables(self, take: TakeToSimulate, sampled: SampledPiece, files: list[str], worn: Worn) -> None:
+    def _tables(self, take: TakeToSimulate, sampled: SampledPiece, files: list[str], worn: TakeSensors) -> None:
         """Add the rows of a piece to the tables of segments, windows and truth."""
         made, count = self.made, len(sampled.times)
         made.seconds += count / self.wearing.rate_hz
@@ -424,8 +424,8 @@ def _table(path: Path, header: list[str], rows: list[list[object]]) -> None:
 
 
 def simulate_imu(
-    store: Store, takes: Sequence[str], where: str | None, request: Request, folder: Path, progress: Progress
-) -> Simulated:
+    store: Store, takes: Sequence[str], where: str | None, request: ImuRequest, folder: Path, progress: Progress
+) -> SimulatedSensors:
     """Write a data set of simulated sensors on takes, whose source files are read again.
 
     Parameters
@@ -465,8 +465,8 @@ def simulate_imu(
 
 
 def simulate_stored(
-    store: Store, stage: str, names: Sequence[str], request: Request, folder: Path, progress: Progress
-) -> Simulated:
+    store: Store, stage: str, names: Sequence[str], request: ImuRequest, folder: Path, progress: Progress
+) -> SimulatedSensors:
     """Write a data set of simulated sensors into an empty folder, from the limbs that a stage has stored.
 
     Parameters

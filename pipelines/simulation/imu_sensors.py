@@ -17,17 +17,17 @@ from kinedex.ops.inertial.sensor_model import (
     Clock,
     Grade,
     Readings,
-    generator,
     magnetic_field,
     measured,
     random_clock,
     random_mount,
+    seeded_generator,
     sensor_motion,
-    world_turn,
+    world_rotation,
 )
 from kinedex.pipelines.inertial.limb_motion import LimbMotion
 
-LEAST_SECONDS = 2.0
+MIN_SECONDS = 2.0
 """The smallest length of a piece in seconds, unless windows are shorter."""
 
 SHORT_GAP_S = 0.1
@@ -90,7 +90,7 @@ class Pieces:
 
 
 def take_pieces(
-    limbs: Mapping[str, LimbMotion], wanted: tuple[str, ...], named: bool, least_s: float = LEAST_SECONDS
+    limbs: Mapping[str, LimbMotion], wanted: tuple[str, ...], named: bool, least_s: float = MIN_SECONDS
 ) -> Pieces:
     """Divide a take into pieces for which sensors can be simulated.
 
@@ -167,7 +167,7 @@ def _glued(times: F64, position: F64) -> Bool:
 
 
 @dataclass(frozen=True)
-class Wearing:
+class WearOptions:
     """The way in which simulated sensors are worn and sampled.
 
     Attributes
@@ -211,7 +211,7 @@ class Wearing:
 
 
 @dataclass(frozen=True, eq=False)
-class Worn:
+class TakeSensors:
     """The sensors of one take.
 
     Attributes
@@ -251,7 +251,7 @@ class SampledPiece:
     readings: dict[str, Readings]
 
 
-def worn_sensors(wearing: Wearing, take: str, actor: str | None, limbs: Mapping[str, object]) -> Worn:
+def worn_sensors(wearing: WearOptions, take: str, actor: str | None, limbs: Mapping[str, object]) -> TakeSensors:
     """Draw heading, mounts and clock of a take's sensors; takes of one actor share heading and mounts.
 
     Parameters
@@ -266,15 +266,15 @@ def worn_sensors(wearing: Wearing, take: str, actor: str | None, limbs: Mapping[
         The limbs, by name.
     """
     who = f"actor {actor}" if actor else f"take {take}"
-    heading = float(generator(wearing.seed, "heading", who).uniform(-180.0, 180.0))
+    heading = float(seeded_generator(wearing.seed, "heading", who).uniform(-180.0, 180.0))
     mounts = {limb: np.array([1.0, 0.0, 0.0, 0.0]) for limb in limbs}
     if wearing.mount == RANDOM:
-        mounts = {limb: random_mount(generator(wearing.seed, "mount", who, limb)) for limb in limbs}
-    clock = random_clock(wearing.grade, generator(wearing.seed, "clock", take))
-    return Worn(world_turn(heading), mounts, clock)
+        mounts = {limb: random_mount(seeded_generator(wearing.seed, "mount", who, limb)) for limb in limbs}
+    clock = random_clock(wearing.grade, seeded_generator(wearing.seed, "clock", take))
+    return TakeSensors(world_rotation(heading), mounts, clock)
 
 
-def sample_piece(piece: Piece, number: int, take: str, worn: Worn, wearing: Wearing) -> SampledPiece:
+def sample_piece(piece: Piece, number: int, take: str, worn: TakeSensors, wearing: WearOptions) -> SampledPiece:
     """Return the readings of all sensors in a piece of a take.
 
     Parameters
@@ -303,7 +303,7 @@ def sample_piece(piece: Piece, number: int, take: str, worn: Worn, wearing: Wear
             own.times, own.position, own.orientation, take_times, worn.q_global, worn.mounts[limb],
             np.array(wearing.lever_m),
         )  # fmt: skip
-        random = generator(wearing.seed, "noise", take, limb, str(number))
+        random = seeded_generator(wearing.seed, "noise", take, limb, str(number))
         readings[limb] = measured(motion, wearing.grade, field_ut, random)
     return SampledPiece(piece, times, take_times, readings)
 

@@ -16,13 +16,8 @@ from kinedex.catalog.classes import Classes, class_files
 from kinedex.catalog.plugins import Plugins
 from kinedex.catalog.queries.keyframe_query import KeyframeQuery
 from kinedex.catalog.queries.query_reader import query_file_paths
-from kinedex.ops.wording import counted, few
-from kinedex.pipelines.annotation.annotators import Annotator, targets_unknown
-from kinedex.pipelines.annotation.batches import annotate_stored
-from kinedex.pipelines.annotation.confidence_calibration import CalibratedConfidence
-from kinedex.pipelines.annotation.methods import METHODS
-from kinedex.pipelines.annotation.parameters import AnnotationParameters
-from kinedex.pipelines.annotation.preparation import (
+from kinedex.ops.wording import counted, name_list
+from kinedex.pipelines.annotation.annotation_setup import (
     Preparation,
     annotation_classes,
     learned_queries,
@@ -33,16 +28,26 @@ from kinedex.pipelines.annotation.preparation import (
     template_learner,
     template_words,
 )
-from kinedex.pipelines.annotation.reuse import earlier_annotations, fingerprints, setting_digest, with_confidence
+from kinedex.pipelines.annotation.annotation_tables import annotations_table, curves_table, takes_table
+from kinedex.pipelines.annotation.annotators import Annotator, unknown_targets
+from kinedex.pipelines.annotation.batches import annotate_stored
+from kinedex.pipelines.annotation.confidence_calibration import CalibratedConfidence
+from kinedex.pipelines.annotation.earlier_annotations import (
+    earlier_annotations,
+    fingerprints,
+    setting_digest,
+    with_confidence,
+)
+from kinedex.pipelines.annotation.methods import METHODS
+from kinedex.pipelines.annotation.parameters import AnnotationParameters
 from kinedex.pipelines.annotation.single_examples import earlier_ranges, ranges_table
-from kinedex.pipelines.annotation.tables import annotations_table, curves_table, takes_table
 from kinedex.pipelines.annotation.threshold_calibration import Calibration
 from kinedex.pipelines.engine.context import StageContext
 from kinedex.pipelines.engine.digests import files_digest
 from kinedex.pipelines.engine.stage import Input, Stage
-from kinedex.pipelines.search.not_applied import known_of, not_applied_table
+from kinedex.pipelines.keyframes.applicability import known_masks, not_applied_table
 from kinedex.pipelines.templates.examples import rejected_examples
-from kinedex.pipelines.templates.learning import SubclassTemplate, read_templates
+from kinedex.pipelines.templates.template_learning import SubclassTemplate, read_templates
 from kinedex.pipelines.templates.training import TemplateParameters, training_material
 from kinedex.storage.store.store import Store
 from kinedex.storage.store.writer import StoreWriter
@@ -80,16 +85,16 @@ class Annotate(Stage[AnnotationParameters]):
             annotator, calibration, confidence = _prepared(
                 context, store, params, templates, classes, queries, learned, takes
             )
-            known = known_of(store.known, takes["take_id"].to_list())
+            known = known_masks(store.known, takes["take_id"].to_list())
             remarks = [*annotator.remarks, *calibration.remarks, *params.without_effect(), *annotator.remarks_on(known)]
-            context.say(*remarks)
-            context.say(confidence.remark)
+            context.message(*remarks)
+            context.message(confidence.remark)
             _report_exclusions(context, classes, annotator, queries, learned)
             done = _annotate(context, writer, annotator, takes, params)
             writer.forget_stage(context.key())
             writer.commit()
         share = _share_searched(done.searched, takes)
-        context.say(
+        context.message(
             f"{counted(done.segments, 'segment')} in {counted(takes.height, 'take')}"
             + (f"; templates were matched in {share:.1%} of the frames" if any(annotator.queries) else "")
             + (
@@ -207,7 +212,7 @@ def _annotate(
     put("annotations", table)
     put("example_ranges", ranges_table(sorted(promising.items()) if context.code else (), names, context.run))
     put("annotated_takes", takes_table(takes, context.run, searched, prints))
-    lacking = known_of(writer.store.known, names)
+    lacking = known_masks(writer.store.known, names)
     put("not_applied", not_applied_table(annotator.partly_known(lacking), lacking, names, context.run))
     return Done(table.num_rows, len(kept.searched), searched)
 
@@ -220,20 +225,20 @@ def _report_exclusions(
     learned: Sequence[KeyframeQuery],
 ) -> None:
     if classes.without_class:
-        context.say(f"in no class and not annotated: {few(classes.without_class)}")
+        context.message(f"in no class and not annotated: {name_list(classes.without_class)}")
     empty = [one.name for one in classes.classes if not set(one.subclasses) & set(annotator.subclasses)]
     if empty:
-        context.say(f"classes without a template, which nothing can be labelled with: {few(empty)}")
-    unknown = sorted({*targets_unknown(queries, classes), *targets_unknown(learned, classes)})
+        context.message(f"classes without a template, which nothing can be labelled with: {name_list(empty)}")
+    unknown = sorted({*unknown_targets(queries, classes), *unknown_targets(learned, classes)})
     if unknown:
-        context.say(f"keyframe queries for other classes, excluded: {few(unknown)}")
+        context.message(f"keyframe queries for other classes, excluded: {name_list(unknown)}")
     used = dict(zip(annotator.subclasses, map(set, annotator.queries), strict=True))
     both = [name for name, own in used.items() if own & set(queries) and own & set(learned)]
     if both:
-        context.say(f"with queries of files and learned ones, matched within the hits of either: {few(both)}")
+        context.message(f"with queries of files and learned ones, matched within the hits of either: {name_list(both)}")
     without = [name for name, own in used.items() if not own]
     if (queries or learned) and without:
-        context.say(f"without a keyframe query, matched in all frames: {few(without)}")
+        context.message(f"without a keyframe query, matched in all frames: {name_list(without)}")
 
 
 def _share_searched(searched: Mapping[int, float], takes: pl.DataFrame) -> float:

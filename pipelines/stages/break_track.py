@@ -14,10 +14,10 @@ from kinedex.ops.wording import counted
 from kinedex.pipelines.engine.context import StageContext
 from kinedex.pipelines.engine.digests import Reading, hash_of
 from kinedex.pipelines.engine.stage import Input, Stage
-from kinedex.pipelines.inertial.broken_takes import BrokenLabels, break_take
 from kinedex.pipelines.inertial.limb_motion import KIND, limb_pieces, limb_table, limbs_of_rows
-from kinedex.pipelines.inertial.limb_sources import reading_digest
 from kinedex.pipelines.inertial.parameters import BreakTrackParameters
+from kinedex.pipelines.inertial.simulated_errors import SimulatedLabels, inject_errors
+from kinedex.pipelines.inertial.source_limbs import reading_digest
 from kinedex.pipelines.inertial.worn_sensors import ReusedTakes
 from kinedex.storage.snapshot.row_groups import RowGroups
 from kinedex.storage.store.reused_results import stored_fingerprints
@@ -48,7 +48,7 @@ class BreakTrack(Stage[BreakTrackParameters]):
         stage = context.key(context.inputs["limbs"])
         groups = RowGroups(store, KIND, stage, "take_id")
         takes = {take_id: name for name, take_id in store.take_ids.items() if name in names and take_id in groups}
-        marks = BrokenLabels(context.report_file(LABELS), context.report_file(TRUTH))
+        marks = SimulatedLabels(context.report_file(LABELS), context.report_file(TRUTH))
         limbs, chosen = stored_fingerprints(store, KIND, stage), params.model_dump(exclude={"where"})
 
         def fingerprint(take_id: int) -> str | None:
@@ -63,7 +63,7 @@ class BreakTrack(Stage[BreakTrackParameters]):
             with context.progress("takes", len(reuse.fresh)) as bar:
                 for take_id in reuse.fresh:
                     one = limbs_of_rows(groups.rows(take_id))
-                    broken = break_take(one, wanted, params.noise_deg, params.annotators, params.seed)
+                    broken = inject_errors(one, wanted, params.noise_deg, params.annotators, params.seed)
                     marks.put(one.take, broken.labels, broken.truth)
                     bar.advance(1)
                     yield limb_table(take_id, one.take, broken.limbs, context.run, fingerprint(take_id))
@@ -73,8 +73,8 @@ class BreakTrack(Stage[BreakTrackParameters]):
         labels, truth = marks.of(takes.values())
         kinds = Counter(one.kind for one in truth)
         listed = ", ".join(f"{count} {kind}" for kind, count in sorted(kinds.items())) or "none"
-        context.say(f"{counted(len(takes), 'take')}, wrong by 20 degrees and more: {listed}")
-        context.say(
+        context.message(f"{counted(len(takes), 'take')}, wrong by 20 degrees and more: {listed}")
+        context.message(
             f"{counted(len(labels), 'label')} of {counted(params.annotators, 'simulated annotator')}: "
             f"{context.report_file(LABELS).resolve()}"
         )

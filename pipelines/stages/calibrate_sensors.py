@@ -38,14 +38,14 @@ class CalibrateSensors(Stage[CalibrationSettings]):
 
     def reading(self, params: CalibrationSettings, store: Store) -> Reading:
         """Return a digest of the columns that identify the takes for which sensors stayed in place on the body."""
-        return Reading(hash_of(sorted(_wearing(store, params.wearing).items(), key=lambda item: item[0])), "")
+        return Reading(hash_of(sorted(_wear_periods(store, params.wearing).items(), key=lambda item: item[0])), "")
 
     def run(self, context: StageContext, params: CalibrationSettings) -> dict[str, object]:
         """Calibrate the sensors of every synchronised recording, and store the results."""
         store = context.open()
         takes = WornTakes.of(context, store)
         clocks = stored_clocks(store, context.key(context.inputs["clocks"]))
-        wearing = _wearing(store, params.wearing)
+        wearing = _wear_periods(store, params.wearing)
         groups = fit_groups(takes, wearing, params)
         own_clocks = by_take(clocks)
         brought = takes.fingerprints(context.code, params.model_dump(), of=own_clocks.get)
@@ -58,13 +58,13 @@ class CalibrateSensors(Stage[CalibrationSettings]):
                 rows += [calibration_row(one) | {"fingerprint": prints[one.take_id]} for one in fits]
                 bar.advance(len({one.take_id for one in fits}))
         reuse.put(CALIBRATION, take_tables(CALIBRATION, rows, reuse.fresh, context.run))
-        context.say(*_remarks(rows))
+        context.message(*_remarks(rows))
         every = context.open().result(CALIBRATION, stage=context.key()).to_pylist()
         found = [row for row in every if not row["left_out"]]
         if found:
             context.terminal.show(_table(found))
         sensors, recordings = (len({row[name] for row in found}) for name in ("sensor", "recording"))
-        context.say(
+        context.message(
             f"{counted(len(found), 'calibration')}: {counted(sensors, 'sensor')} in "
             f"{counted(recordings, 'recording')}; {len(every) - len(found)} left out"
         )
@@ -87,7 +87,7 @@ def _remarks(rows: list[dict[str, Any]]) -> list[str]:
     return lines
 
 
-def _wearing(store: Store, columns: list[str]) -> dict[int, Hashable]:
+def _wear_periods(store: Store, columns: list[str]) -> dict[int, Hashable]:
     """Return a dict from take id to a key that is equal for takes with the same mounts: column values, or the id."""
     rows = store.take_rows.to_pylist()
     known = list(rows[0]) if rows else []

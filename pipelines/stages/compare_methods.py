@@ -10,7 +10,7 @@ import pyarrow as pa
 from kinedex.catalog.classes import class_files
 from kinedex.catalog.plugins import Plugins
 from kinedex.catalog.queries.query_reader import query_file_paths
-from kinedex.ops.wording import few
+from kinedex.ops.wording import name_list
 from kinedex.pipelines.annotation.methods import METHODS
 from kinedex.pipelines.engine.context import StageContext
 from kinedex.pipelines.engine.digests import files_digest
@@ -18,10 +18,10 @@ from kinedex.pipelines.engine.page_files import drawn_by, write_page
 from kinedex.pipelines.engine.stage import Input, Stage
 from kinedex.pipelines.evaluation.annotation_scores import Evaluation, measures, metrics_rows
 from kinedex.pipelines.evaluation.comparison import Plan, compare_methods, plan_comparison
+from kinedex.pipelines.evaluation.comparison_parameters import ComparisonParameters
+from kinedex.pipelines.evaluation.comparison_results import Study, evaluation_rows, study_json
+from kinedex.pipelines.evaluation.comparison_tables import markdown, overview
 from kinedex.pipelines.evaluation.ground_truth import ground_truth_digest
-from kinedex.pipelines.evaluation.scheme import ComparisonParameters
-from kinedex.pipelines.evaluation.study import Study, content, evaluation_rows
-from kinedex.pipelines.evaluation.tables import markdown, overview
 from kinedex.storage.formats.json_text import json_text
 from kinedex.storage.store.store import Store
 
@@ -63,8 +63,8 @@ class CompareMethods(Stage[ComparisonParameters]):
             return {"splits": 0, "methods": len(plan.params.methods)}
         files = _write(context, params, study)
         context.terminal.show(*overview(study))
-        context.say(*study.remarks, *_remarks(study))
-        context.say(f"report: {(context.store_path / files[0]).resolve()}")
+        context.message(*study.remarks, *_remarks(study))
+        context.message(f"report: {(context.store_path / files[0]).resolve()}")
         first = study.splits[0]
         return {
             "splits": len(study.splits),
@@ -83,7 +83,7 @@ def _remarks(study: Study) -> list[str]:
         for remark in result.remarks:
             found.setdefault(remark, []).append(result.split.name)
     several = len(study.splits) > 1
-    return [(f"{few(splits)}: " if several else "") + remark for remark, splits in found.items()]
+    return [(f"{name_list(splits)}: " if several else "") + remark for remark, splits in found.items()]
 
 
 def _store_metrics(context: StageContext, plan: Plan, study: Study | None) -> None:
@@ -105,7 +105,7 @@ def _store_metrics(context: StageContext, plan: Plan, study: Study | None) -> No
 def _write(context: StageContext, params: ComparisonParameters, study: Study) -> list[str]:
     """Write page, summary and JSON, and return their paths within the store, the page first."""
     page = drawn_by(PAGE)(context.open(), study, params.embed, context.stage, context.progress)
-    as_json = json_text(content(study))
+    as_json = json_text(study_json(study))
     files = []
     for name, text in zip(FILES, (page, markdown(study), as_json), strict=True):
         path = context.report_file(name)

@@ -7,9 +7,9 @@ from typing import ClassVar
 import pyarrow as pa
 
 from kinedex.ops.wording import counted
+from kinedex.pipelines.annotation.annotation_setup import annotated_classes
+from kinedex.pipelines.annotation.annotation_tables import annotated_takes
 from kinedex.pipelines.annotation.parameters import AnnotationParameters
-from kinedex.pipelines.annotation.preparation import annotated_classes
-from kinedex.pipelines.annotation.tables import annotated_takes
 from kinedex.pipelines.engine.context import StageContext
 from kinedex.pipelines.engine.stage import Input, Stage
 from kinedex.pipelines.evaluation.annotation_scores import (
@@ -29,11 +29,11 @@ from kinedex.pipelines.evaluation.ground_truth import (
     not_labelled,
     with_own_classes,
 )
-from kinedex.pipelines.templates.learning import run_of
+from kinedex.pipelines.templates.template_learning import run_of
 from kinedex.storage.store.store import Store
 
 SET_IT = "`--set evaluate.ground_truth=PATTERN` names label files"
-MOST_TAKES_SHOWN = 20
+MAX_TAKES_SHOWN = 20
 """The largest number of takes for which the table on the terminal has a row per take."""
 
 
@@ -58,7 +58,7 @@ class Evaluate(Stage[GroundTruthParameters]):
             report.unlink(missing_ok=True)
             context.put_results(metrics=pa.table({}), ground_truth=pa.table({}))
             named = params.ground_truth == NONE
-            context.say(
+            context.message(
                 "no ground truth, nothing to evaluate"
                 + ("" if named else f": the source has no file '{params.ground_truth}'; {SET_IT}")
             )
@@ -66,7 +66,7 @@ class Evaluate(Stage[GroundTruthParameters]):
         annotated = context.params_of("annotations", AnnotationParameters)
         classes = annotated_classes(store, annotated, context.key(context.inputs["annotations"]))
         if params is not given:
-            context.say(
+            context.message(
                 f"the source has no label file '{given.ground_truth}': each take's own class is its ground truth"
             )
         truth = ground_truth(store, params, takes, classes)
@@ -80,13 +80,13 @@ class Evaluate(Stage[GroundTruthParameters]):
         about = {"pipeline": context.pipeline, "annotate": annotated.model_dump(mode="json"), "remarks": remarks}
         write_metrics(report, evaluation, context.run, **about)
         context.report_unmatched(truth.unmatched)
-        context.say(*truth.remarks)
-        few = len(truth.takes) <= MOST_TAKES_SHOWN
+        context.message(*truth.remarks)
+        few = len(truth.takes) <= MAX_TAKES_SHOWN
         scopes = SCOPES if few else SCOPES[:-1]
         context.terminal.show(
             metrics_table(evaluation, f"{counted(len(truth.takes), 'take')} against ground truth", scopes)
         )
-        context.say(f"metrics{'' if few else ', take by take as well'}: {report}")
+        context.message(f"metrics{'' if few else ', take by take as well'}: {report}")
         counts = evaluation.pooled
         return {
             "evaluated_takes": len(truth.takes),

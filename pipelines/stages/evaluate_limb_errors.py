@@ -6,7 +6,7 @@ import shlex
 from pathlib import Path
 from typing import Any, ClassVar
 
-from kinedex.catalog.printed_figures import load_printed
+from kinedex.catalog.published_results import load_published
 from kinedex.ops.errors import KinedexError
 from kinedex.ops.intervals import in_seconds
 from kinedex.ops.wording import counted
@@ -26,8 +26,8 @@ from kinedex.pipelines.inertial.limb_labels import (
 )
 from kinedex.pipelines.inertial.parameters import EvaluateLimbErrorsParameters
 from kinedex.storage.formats.labels.formats import any_ground_truth, ground_truth_files
-from kinedex.storage.snapshot.labels import is_of_limbs
 from kinedex.storage.snapshot.schemas import result_table
+from kinedex.storage.snapshot.stored_labels import is_of_limbs
 from kinedex.storage.store.store import Store
 
 METRICS, LABELS = "limb_error_metrics", "limb_labels"
@@ -45,7 +45,7 @@ class EvaluateLimbErrors(Stage[EvaluateLimbErrorsParameters]):
 
     def external_digest(self, params: EvaluateLimbErrorsParameters, store: Store | None) -> str:
         """Return a hash of the label files, and of the file with the published results."""
-        printed = "" if params.printed is None else load_printed(params.printed).model_dump_json()
+        printed = "" if params.printed is None else load_published(params.printed).model_dump_json()
         if params.ground_truth is None or store is None:
             return printed
         try:
@@ -68,14 +68,14 @@ class EvaluateLimbErrors(Stage[EvaluateLimbErrorsParameters]):
         if not labels.looked_at:
             empty = {kind: result_table(kind, (), context.run) for kind in (METRICS, LABELS)}
             context.put_results(**empty)
-            context.say(
+            context.message(
                 f"no labels, nothing to evaluate; `--set {context.stage}.ground_truth=PATTERN` names label files, and "
                 f"`kinedex labels import {shlex.quote(str(context.store_path))} FILE` keeps them in the store"
             )
             return {"evaluated_takes": 0}
         counts, placed, remarks = _counted(context, store, labels, params)
-        context.say(*remarks)
-        printed = None if params.printed is None else load_printed(params.printed)
+        context.message(*remarks)
+        printed = None if params.printed is None else load_published(params.printed)
         rows = list(metric_rows(counts, printed))
         context.put_results(
             limb_error_metrics=result_table(METRICS, rows, context.run),
@@ -84,8 +84,8 @@ class EvaluateLimbErrors(Stage[EvaluateLimbErrorsParameters]):
         takes = {take_id for ids in counts.takes.values() for take_id in ids}
         if rows:
             context.terminal.show(_table(rows))
-            context.say("sensors: at the τ with the largest F (frames); runs: as limb_errors stored them")
-        context.say(
+            context.message("sensors: at the τ with the largest F (frames); runs: as limb_errors stored them")
+        context.message(
             f"{counted(len(takes), 'take')}, {counted(len(placed), 'label')} of "
             f"{counted(len(labels.annotators), 'annotator')}"
         )

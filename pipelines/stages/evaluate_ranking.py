@@ -14,14 +14,14 @@ from kinedex.pipelines.engine.context import StageContext
 from kinedex.pipelines.engine.digests import files_digest
 from kinedex.pipelines.engine.file_parameters import StageParameters
 from kinedex.pipelines.engine.stage import Input, Stage
-from kinedex.pipelines.ranking.ranked_hits import RankedTemplate
-from kinedex.pipelines.ranking.ranking import rank_takes
-from kinedex.pipelines.ranking.ranking_evaluation import (
+from kinedex.pipelines.templates.ranked_hits import RankedTemplate
+from kinedex.pipelines.templates.ranking import rank_takes
+from kinedex.pipelines.templates.ranking_evaluation import (
+    EvaluatedRanking,
     Fold,
-    Judged,
     clip_costs,
-    judge_clips,
-    judge_hits,
+    evaluate_clips,
+    evaluate_hits,
     mean_average_precision,
     names_filter,
     read_truth,
@@ -29,7 +29,7 @@ from kinedex.pipelines.ranking.ranking_evaluation import (
     retrieval_rows,
     retrieval_table,
 )
-from kinedex.pipelines.templates.learning import learn_templates, read_templates, training_clips
+from kinedex.pipelines.templates.template_learning import learn_templates, read_templates, training_clips
 from kinedex.storage.formats.labels.formats import ground_truth_files
 from kinedex.storage.store.store import Store
 
@@ -75,7 +75,7 @@ class EvaluateRanking(Stage[Params]):
         """Evaluate the rankings, print a table for takes and one for clips, and store the results."""
         store = context.open()
         summary: dict[str, object] = {"tau": params.tau, "delta": params.delta}
-        judged: list[Judged] = []
+        judged: list[EvaluatedRanking] = []
         in_takes = _takes(context, store, params)
         for what, found in (("takes", in_takes), ("clips", _clips(context, store, params))):
             if found:
@@ -89,23 +89,23 @@ class EvaluateRanking(Stage[Params]):
         return summary
 
 
-def _takes(context: StageContext, store: Store, params: Params) -> list[Judged]:
+def _takes(context: StageContext, store: Store, params: Params) -> list[EvaluatedRanking]:
     """Evaluate the ranking of all hits in takes for each class."""
     if params.ground_truth == NONE:
         return []
     learned = read_templates(store, context.key(context.inputs["templates"]), params.templates)
     truth = read_truth(store, params.ground_truth, params.where, [one.subclass for one in learned])
     context.report_unmatched(truth.unmatched)
-    context.say(*truth.remarks)
+    context.message(*truth.remarks)
     searched = [RankedTemplate(one.subclass, quantise(one.learned.template, params.delta)) for one in learned]
     rankings = rank_takes(store, searched, 1.0, None, f"({params.where}) AND {names_filter(truth.takes)}")
-    return [judge_hits(one.name, one.hits, truth.segments, params.tau) for one in rankings]
+    return [evaluate_hits(one.name, one.hits, truth.segments, params.tau) for one in rankings]
 
 
-def _clips(context: StageContext, store: Store, params: Params) -> list[Judged]:
+def _clips(context: StageContext, store: Store, params: Params) -> list[EvaluatedRanking]:
     """Evaluate the rankings of the clips of each fold by templates learned from the other folds."""
     folds = _folds(store, params)
-    judged: list[Judged] = []
+    judged: list[EvaluatedRanking] = []
     with context.progress("folds", len(folds)) as bar:
         for fold in folds:
             judged += _clips_of(fold, context, store, params)
@@ -113,12 +113,12 @@ def _clips(context: StageContext, store: Store, params: Params) -> list[Judged]:
     return judged
 
 
-def _clips_of(fold: Fold, context: StageContext, store: Store, params: Params) -> list[Judged]:
+def _clips_of(fold: Fold, context: StageContext, store: Store, params: Params) -> list[EvaluatedRanking]:
     """Evaluate the rankings of the clips of one fold."""
     training = store.takes(f"({params.clips}) AND ({fold.learn})")
     ranked = store.takes(f"({params.clips}) AND ({fold.rank})").sort("take_id")
     if not training.height or not ranked.height:
-        context.say(f"{fold.name}: {training.height} clips to learn from, {ranked.height} to rank; excluded")
+        context.message(f"{fold.name}: {training.height} clips to learn from, {ranked.height} to rank; excluded")
         return []
     clips, features = training_clips(store, training), len(store.feature_set.features)
     templates = {
@@ -130,8 +130,8 @@ def _clips_of(fold: Fold, context: StageContext, store: Store, params: Params) -
     labels, names = ranked["class"].to_list(), ranked["name"].to_list()
     missing = sorted(set(labels) - set(templates))
     if missing:
-        context.say(f"{fold.name}: no clips of others, so no template: {', '.join(missing)}")
-    return [judge_clips(fold.name, label, costs[label], labels, names, params.tau) for label in templates]
+        context.message(f"{fold.name}: no clips of others, so no template: {', '.join(missing)}")
+    return [evaluate_clips(fold.name, label, costs[label], labels, names, params.tau) for label in templates]
 
 
 def _folds(store: Store, params: Params) -> Sequence[Fold]:

@@ -13,12 +13,12 @@ from kinedex.pipelines.engine.display import ResultTable
 from kinedex.pipelines.engine.stage import Input, Stage
 from kinedex.pipelines.reconstruction.reconstruction_errors import (
     Comparison,
-    compare,
+    compare_with_truth,
     error_rows,
     stored_reconstruction,
 )
-from kinedex.pipelines.recordings.recorded_takes import TruthParameters, every_take
-from kinedex.pipelines.recordings.runs import earlier_rows
+from kinedex.pipelines.tracking.recorded_takes import TruthParameters, every_take
+from kinedex.pipelines.tracking.recording_runs import earlier_rows
 from kinedex.storage.formats.depth.recording import recording_truth
 from kinedex.storage.snapshot.schemas import result_table
 from kinedex.storage.store.store import Store
@@ -60,7 +60,11 @@ class EvaluateReconstruction(Stage[TruthParameters]):
         for row in earlier_rows(store, "reconstructions", stage):
             frames = store.rows_of("reconstruction_frames", stage, "take_id", [int(str(row["take_id"]))])
             file = _file_of(row)
-            known = None if file is None else compare(store, stored_reconstruction(row, frames), file, params.truth)
+            known = (
+                None
+                if file is None
+                else compare_with_truth(store, stored_reconstruction(row, frames), file, params.truth)
+            )
             if known is None:
                 without.append(row["take"])
             else:
@@ -70,7 +74,9 @@ class EvaluateReconstruction(Stage[TruthParameters]):
         if found:
             context.terminal.show(_table(rows))
         else:
-            context.say("no truth is known: set `truth` of the recording, or of this stage, to a take or a motion file")
+            context.message(
+                "no truth is known: set `truth` of the recording, or of this stage, to a take or a motion file"
+            )
         takes = {row["take"]: round(row["mean_m"], 5) for row in rows if row["scope"] == "take"}
         return {"takes": takes, "without_truth": without}
 

@@ -9,16 +9,16 @@ from kinedex.pipelines.engine.context import StageContext
 from kinedex.pipelines.engine.digests import Reading, files_digest
 from kinedex.pipelines.engine.display import ResultTable
 from kinedex.pipelines.engine.stage import Input, Stage
-from kinedex.pipelines.recordings.recorded_takes import TruthParameters, every_take
-from kinedex.pipelines.recordings.runs import earlier_rows
-from kinedex.pipelines.tracking.recordings import stored_rows
+from kinedex.pipelines.tracking.observed_recordings import stored_rows
+from kinedex.pipelines.tracking.recorded_takes import TruthParameters, every_take
+from kinedex.pipelines.tracking.recording_runs import earlier_rows
 from kinedex.pipelines.tracking.tracked_takes import (
     SENSORS,
     STABILISED,
     TRACKED,
-    compared,
-    judged_by_sensors,
     poses_of,
+    sensor_error_figures,
+    track_errors,
     truth_reference,
 )
 from kinedex.storage.snapshot.schemas import result_table
@@ -67,10 +67,10 @@ class EvaluateTrack(Stage[TruthParameters]):
                     continue
                 folder = Path(known["file"]).parent if known and params.truth is None else Path()
                 reference = truth_reference(store, truth, folder, known.get("recording"))
-                rows += compared(row, poses_of(store, stage, int(str(row["take_id"]))), reference)
+                rows += track_errors(row, poses_of(store, stage, int(str(row["take_id"]))), reference)
         judged: list[dict[str, Any]] = []
         if "errors" in context.inputs:
-            judged = judged_by_sensors(store, context.key(context.inputs["errors"]), tracked)
+            judged = sensor_error_figures(store, context.key(context.inputs["errors"]), tracked)
         context.put_results(track_metrics=result_table("track_metrics", [*rows, *judged], context.run))
         takes = [row for row in rows if row["scope"] == "take"]
         if takes:
@@ -78,7 +78,9 @@ class EvaluateTrack(Stage[TruthParameters]):
         if judged:
             context.terminal.show(_sensor_table(judged))
         if not takes and not judged:
-            context.say("no truth is known: set `truth` of the recording, or of this stage, to a take or a motion file")
+            context.message(
+                "no truth is known: set `truth` of the recording, or of this stage, to a take or a motion file"
+            )
         wholes = [row for row in judged if row["scope"] == SENSORS]
         return {
             "takes": {row["take"]: round(row["mean_mm"], 3) for row in takes},

@@ -42,7 +42,7 @@ class Index(Stage[Params]):
         record = read_generation(generation)
         assert record is not None
         built = 0 if generation == before else record.built_frames
-        context.say(
+        context.message(
             f"{record.rows['word_runs']:,} word runs of {record.rows['vocabulary']:,} words, "
             f"{record.rows['feature_runs']:,} feature runs in {generation.name}, "
             f"for which {built:,} of {record.frames:,} frames were indexed anew"

@@ -17,28 +17,28 @@ from kinedex.pipelines.engine.context import StageContext, feature_set_for
 from kinedex.pipelines.engine.digests import files_digest
 from kinedex.pipelines.engine.stage import Stage
 from kinedex.pipelines.ingestion.analysis import declarable_figures
-from kinedex.pipelines.ingestion.changes import (
-    Changes,
-    compare,
-    digest,
-    features_digest,
-    removed_below,
-    without_removed,
-)
-from kinedex.pipelines.ingestion.failures import Failure, failure_messages, log_table
+from kinedex.pipelines.ingestion.file_failures import Failure, failure_messages, log_table
 from kinedex.pipelines.ingestion.metadata import (
     NO_PATTERN,
     Metadata,
     descriptions,
     join_lines,
-    lies_in_source,
     load_metadata,
+    metadata_in_source,
     refuse_losses,
     unmatched_line,
     unmatched_paths,
 )
 from kinedex.pipelines.ingestion.parameters import IngestParameters, chosen_mappings, remembered_line, with_remembered
-from kinedex.pipelines.ingestion.read_rounds import FilesRead, ReadRounds, file_table
+from kinedex.pipelines.ingestion.read_passes import FilesRead, ReadPasses, file_table
+from kinedex.pipelines.ingestion.source_changes import (
+    SourceChanges,
+    compare_source,
+    digest,
+    features_digest,
+    removed_below,
+    without_removed,
+)
 from kinedex.pipelines.inspection.duplicates import copies_line
 from kinedex.storage.formats.motion.body_models import model_digest
 from kinedex.storage.formats.motion.reader_table import READERS, motion_endings
@@ -95,7 +95,9 @@ class Ingest(Stage[IngestParameters]):
         found = without_removed(found, standing)
         mappings = chosen_mappings(params, context.feature_set.joints, context.store_path, standing)
         with context.writer() as writer:
-            plan = compare(writer, context.feature_set, mappings, found, params.name, params.patterns, params.given)
+            plan = compare_source(
+                writer, context.feature_set, mappings, found, params.name, params.patterns, params.given
+            )
             if plan.renamed and not params.prune:
                 raise _named_otherwise(plan)
             unmatched = _report_changes(context, params, found, plan)
@@ -107,7 +109,7 @@ class Ingest(Stage[IngestParameters]):
                 writer.record_source(root, context.key(), params.remembered)
             done = FilesRead()
             if not (params.strict and plan.failures):
-                done = ReadRounds(context, params, mappings, writer, plan).run()
+                done = ReadPasses(context, params, mappings, writer, plan).run()
             failures = [*plan.failures, *done.failures]
             files = file_table(found, root, plan, done, failures)
             log = log_table(failures, context.run)
@@ -159,7 +161,7 @@ def _describe(
     context: StageContext,
     params: IngestParameters,
     writer: StoreWriter,
-    plan: Changes,
+    plan: SourceChanges,
     metadata: Metadata,
     dropped: Collection[int],
 ) -> None:
@@ -177,11 +179,15 @@ def _describe(
         for row in descriptions(params, joined).changed(here, writer.columns)
     ]
     writer.restate_takes(pa.Table.from_pylist(changed, schema=schema), described=True)
-    context.say(*join_lines(metadata, joined))
+    context.message(*join_lines(metadata, joined))
     if changed:
-        context.say(f"{counted(len(changed), 'take')} described anew by patterns or metadata; no file was read for it")
-    if (beside := lies_in_source(root, params.tables)) is not None:
-        context.say(f"{beside} is not used: `--set ingest.metadata={shlex.quote(beside)}` joins its columns to takes")
+        context.message(
+            f"{counted(len(changed), 'take')} described anew by patterns or metadata; no file was read for it"
+        )
+    if (beside := metadata_in_source(root, params.tables)) is not None:
+        context.message(
+            f"{beside} is not used: `--set ingest.metadata={shlex.quote(beside)}` joins its columns to takes"
+        )
 
 
 def _declare_columns(context: StageContext, writer: StoreWriter, params: IngestParameters, metadata: Metadata) -> None:
@@ -197,17 +203,17 @@ def _declare_columns(context: StageContext, writer: StoreWriter, params: IngestP
         if (problem := column_problem(name, column, writer.manifest.columns | columns)) is None:
             columns[name] = column
         else:
-            context.say(
+            context.message(
                 f"the named group '{name}' is no column of takes: {problem}; its values are in the column `groups`; "
                 "give it another name in `patterns`"
             )
     writer.declare_columns(columns)
     of_tables, problems = metadata.columns(writer.columns)
-    context.say(*problems)
+    context.message(*problems)
     writer.declare_columns({name: column for name, column in of_tables.items() if name not in writer.columns})
     writer.widen_columns({name: column.type for name, column in of_tables.items()})
     figures, problems = declarable_figures(writer.columns)
-    context.say(*problems)
+    context.message(*problems)
     writer.declare_columns(figures)
 
 
@@ -222,7 +228,7 @@ def _no_motion_files(found: Scan, source: str) -> KinedexError:
     )
 
 
-def _report_changes(context: StageContext, params: IngestParameters, found: Scan, plan: Changes) -> int:
+def _report_changes(context: StageContext, params: IngestParameters, found: Scan, plan: SourceChanges) -> int:
     """Report files to read and files that are not read, removed or renamed takes, and remembered settings.
 
     Returns
@@ -231,37 +237,37 @@ def _report_changes(context: StageContext, params: IngestParameters, found: Scan
         The number of files whose path matches no pattern.
     """
     if params.from_store:
-        context.say(remembered_line(params))
-    context.say(
+        context.message(remembered_line(params))
+    context.message(
         f"{counted(len(found.motions), 'motion file')} below {params.source}: "
         f"{len(plan.tasks)} to read, {len(plan.unchanged)} unchanged"
         + (f", {len(plan.failures)} excluded" if plan.failures else "")
     )
     if found.skeletons:
-        context.say(counted(len(found.skeletons), "skeleton file"))
-    context.say(*found.unread_lines(), *found.passed_over_lines())
+        context.message(counted(len(found.skeletons), "skeleton file"))
+    context.message(*found.unread_lines(), *found.passed_over_lines())
     if plan.by_path:
         path, name = next(iter(plan.by_path.items()))
-        context.say(
+        context.message(
             f"{counted(len(plan.by_path), 'new take')} named by the path of the file, since others have its stem: "
             f"'{name}' for {path}" + (", …" if len(plan.by_path) > 1 else "")
         )
     if plan.damaged:
         again = len({task.take_id for task in plan.tasks}.intersection(plan.damaged))
         others = len(plan.damaged) - again
-        context.say(
+        context.message(
             f"{counted(len(plan.damaged), 'take')} in damaged parts of the store: {again} to read again"
             + (f"; `{shlex.join(repair(context.store_path).command)}` for the other {others}" if others else "")
         )
     if plan.gone:
         what = "dropped" if params.prune else "kept; `prune: true` drops them"
-        context.say(f"{counted(len(plan.gone), 'take')} whose file is gone: {what}")
+        context.message(f"{counted(len(plan.gone), 'take')} whose file is gone: {what}")
     if plan.renamed:
         takes = counted(len(plan.renamed), "take")
-        context.say(f"{takes} whose file has another name now: read again, and dropped as they were")
+        context.message(f"{takes} whose file has another name now: read again, and dropped as they were")
     unmatched = unmatched_paths(params, found)
     if unmatched:
-        context.say(unmatched_line(params, unmatched, found, context.store_path))
+        context.message(unmatched_line(params, unmatched, found, context.store_path))
     return len(unmatched)
 
 
@@ -269,26 +275,26 @@ def _report_persons(context: StageContext, params: IngestParameters, done: Files
     """Report files with several persons, and takes of persons that their files no longer contain."""
     if done.persons:
         path, takes = next(((path, takes) for path, takes in done.takes.items() if path in done.persons), ("", []))
-        context.say(
+        context.message(
             f"{counted(len(done.persons), 'file')} of several persons, {sum(done.persons.values())} in all: a take each"
             + (f", such as '{takes[0]}' of {path}" if takes else "")
         )
     if surplus:
         what = "dropped" if params.prune else "kept; `prune: true` drops them"
-        context.say(f"{counted(len(surplus), 'take')} of persons whom their files do not hold any more: {what}")
+        context.message(f"{counted(len(surplus), 'take')} of persons whom their files do not hold any more: {what}")
 
 
 def _report_unused(context: StageContext, mappings: Mappings, done: FilesRead) -> None:
     """Report the user's own mappings that fit none of the files that were read."""
     for own in (own for several in mappings.own.values() for own in several):
         if done.takes and own.name not in done.skeletons:
-            context.say(
+            context.message(
                 f"the mapping '{own.name}' ({own.path}) fits none of the files that were read; "
                 "`kinedex inspect FILE --skeleton YAML` names the node that a file lacks"
             )
 
 
-def _named_otherwise(plan: Changes) -> NewStoreError:
+def _named_otherwise(plan: SourceChanges) -> NewStoreError:
     """Return the error of a source whose takes the store has under other names, and would otherwise have twice."""
     _, before, now = plan.renamed[0]
     return NewStoreError(
@@ -300,7 +306,7 @@ def _named_otherwise(plan: Changes) -> NewStoreError:
 
 
 def _report_failures(context: StageContext, failures: Sequence[Failure]) -> None:
-    context.say(*failure_messages(failures))
+    context.message(*failure_messages(failures))
 
 
 def _report_read(context: StageContext, names: Collection[str]) -> None:
@@ -316,20 +322,20 @@ def _report_read(context: StageContext, names: Collection[str]) -> None:
     if warned:
         first, warnings = next(iter(warned.items()))
         where = shlex.quote(str(context.store_path))
-        context.say(
+        context.message(
             f"{counted(len(warned), 'take')} with warnings, such as '{first}': {warnings[0]}; "
             f"`kinedex takes {where} --columns name,warnings --where 'len(warnings) > 0'` lists them"
         )
     if (line := copies_line(store)) is not None:
-        context.say(line)
+        context.message(line)
 
 
 def _compact(context: StageContext, writer: StoreWriter) -> None:
     done = compact(writer, spread=context.executor.map, workers=context.executor.workers)
     for fault in done.damaged:
-        context.say(f"not compacted: {fault}")
+        context.message(f"not compacted: {fault}")
     if done.changed:
-        context.say(
+        context.message(
             f"compacted: {done.frames_before} frames parts to {done.frames_after}, {done.takes_before} takes parts to "
             f"{done.takes_after}; `kinedex gc {context.store_path}` removes the old files"
         )

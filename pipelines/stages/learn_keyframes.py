@@ -5,16 +5,16 @@ from __future__ import annotations
 from kinedex.catalog.classes import class_files, load_classes
 from kinedex.ops.errors import KinedexError
 from kinedex.ops.keyframes.consensus import AtLeast
-from kinedex.ops.wording import counted, few
+from kinedex.ops.wording import counted, name_list
 from kinedex.pipelines.engine.context import StageContext
 from kinedex.pipelines.engine.digests import Reading, files_digest
 from kinedex.pipelines.engine.page_files import drawn_by, write_page
 from kinedex.pipelines.engine.stage import Stage
-from kinedex.pipelines.keyframes.learning import training_sets
+from kinedex.pipelines.keyframes.learning_runs import ClassRuns, StoredRuns, learn_queries, queries_table
 from kinedex.pipelines.keyframes.parameters import KeyframeParameters, setting_of
-from kinedex.pipelines.keyframes.runs import ClassRuns, StoredRuns, learn, queries_table
+from kinedex.pipelines.keyframes.query_learning import training_sets
 from kinedex.pipelines.templates.examples import examples_of, examples_read, rejected_examples
-from kinedex.pipelines.templates.learning import example_clips
+from kinedex.pipelines.templates.template_learning import example_clips
 from kinedex.storage.store.store import Store
 
 PAGE = "kinedex.reports.keyframes_page:keyframes_page"
@@ -46,11 +46,13 @@ class LearnKeyframes(Stage[KeyframeParameters]):
                 f"keyframe queries tell classes apart, so clips of at least two are needed; the filter "
                 f"`{params.where}` selects those of {clips[0].subclass} only"
             )
-        context.say(*found.remarks, *(f"{one.subclass}: {remark}" for one in clips for remark in one.remarks))
+        context.message(*found.remarks, *(f"{one.subclass}: {remark}" for one in clips for remark in one.remarks))
         wanted = training_sets(clips, load_classes(params.classes, [one.subclass for one in clips]), rejected)
         bare = [one.subclass for one in wanted if not one.negatives]
         if bare:
-            raise KinedexError(f"no clip is of another class than {few(bare)}, so there is nothing to tell it from")
+            raise KinedexError(
+                f"no clip is of another class than {name_list(bare)}, so there is nothing to tell it from"
+            )
         setting, rounds = setting_of(params, store), params.rounds()
         kept = StoredRuns(context, wanted)
         before = {(one.key, one.number) for one in kept.known()}
@@ -58,10 +60,10 @@ class LearnKeyframes(Stage[KeyframeParameters]):
         examples = counted(sum(len(one.names) for one in clips), "clip")
         if rejected:
             examples += f" and {counted(len(rejected), 'rejected interval')}"
-        context.say(f"{subclasses} with {examples}, in rounds of {rounds.group} runs each")
+        context.message(f"{subclasses} with {examples}, in rounds of {rounds.group} runs each")
         with context.progress("runs", rounds.runs * len(wanted)) as progress:
-            classes = learn(
-                wanted, setting, rounds, context.executor, kept.known(), kept.save, progress.advance, context.say
+            classes = learn_queries(
+                wanted, setting, rounds, context.executor, kept.known(), kept.save, progress.advance, context.message
             )
         known = sum((one.key, number) in before for one in classes for number in one.used)
         context.put_results(keyframe_runs=kept.table(classes), queries=queries_table(classes, context.run))
@@ -72,7 +74,7 @@ class LearnKeyframes(Stage[KeyframeParameters]):
         remarks = [f"{one.subclass}: {remark}" for one in clips for remark in one.remarks]
         page = drawn_by(PAGE)(title, outcomes, finished, store.feature_set, store.rate_hz, params.learner, remarks)
         write_page(page, path)
-        context.say(f"report: {path.resolve()}")
+        context.message(f"report: {path.resolve()}")
         file = path.relative_to(context.store_path).as_posix()
         return {**_summary(context, classes, params.at_least, known), "files": [file]}
 
@@ -81,15 +83,17 @@ def _summary(context: StageContext, classes: list[ClassRuns], at_least: AtLeast,
     outcomes = [one.outcome for one in classes]
     best: list[str] = [one.subclass for one in outcomes if one.consensus.origin == "best run"]
     if best:
-        context.say(f"less fit than the {at_least} run, so the best run instead of the consensus: {few(best)}")
+        context.message(
+            f"less fit than the {at_least} run, so the best run instead of the consensus: {name_list(best)}"
+        )
     lost = [one.subclass for one in outcomes if one.recall < 1.0]
     if lost:
-        context.say(f"not every training clip is found: {few(lost)}")
+        context.message(f"not every training clip is found: {name_list(lost)}")
     done = sum(len(one.used) for one in classes)
     settled = sum(one.settled for one in classes)
     queries = sum(len(one.chosen) for one in outcomes)
     clips = sum(len(one.clips) for one in outcomes)
-    context.say(
+    context.message(
         f"{queries} queries of {len(classes)} subclasses from {clips} clips; {done} runs"
         + (f", {known} of them known from before" if known else "")
         + (f"; {settled} subclasses settled early" if settled else "")

@@ -6,14 +6,19 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import ClassVar
 
-from kinedex.ops.templates.templates import MOST_ROUNDS
-from kinedex.ops.wording import counted, few
+from kinedex.ops.templates.templates import MAX_ROUNDS
+from kinedex.ops.wording import counted, name_list
 from kinedex.pipelines.engine.context import StageContext
 from kinedex.pipelines.engine.digests import Reading, files_digest
 from kinedex.pipelines.engine.stage import Input, Stage
 from kinedex.pipelines.templates.examples import examples_read
-from kinedex.pipelines.templates.learning import SubclassTemplate, learn_templates, templates_table
-from kinedex.pipelines.templates.training import TemplateParameters, completed, feature_weights, training_material
+from kinedex.pipelines.templates.template_learning import SubclassTemplate, learn_templates, templates_table
+from kinedex.pipelines.templates.training import (
+    TemplateParameters,
+    feature_weights,
+    training_material,
+    with_given_templates,
+)
 from kinedex.storage.store.store import Store
 
 
@@ -39,9 +44,9 @@ class LearnTemplates(Stage[TemplateParameters]):
         material = training_material(store, params)
         clips = material.clips
         context.report_unmatched(material.unmatched)
-        context.say(*material.remarks)
+        context.message(*material.remarks)
         if material.unused:
-            context.say(f"templates from files, so their clips are not learned from: {few(material.unused)}")
+            context.message(f"templates from files, so their clips are not learned from: {name_list(material.unused)}")
         features = len(store.feature_set.features)
         counts = feature_weights(params.weights, store.feature_set)
         learned: list[SubclassTemplate] = []
@@ -49,15 +54,15 @@ class LearnTemplates(Stage[TemplateParameters]):
             for templates in learn_templates(clips, params.kinds, features, context.executor, counts):
                 learned += templates
                 progress.advance(len(templates))
-        learned = completed(learned, params, store.feature_set)
+        learned = with_given_templates(learned, params, store.feature_set)
         warnings = _warnings(learned)
         for text, classes in warnings.items():
-            context.say(f"warning: {few(classes)}: {text}")
+            context.message(f"warning: {name_list(classes)}: {text}")
         context.put_results(templates=templates_table(learned, context.run, params.where))
         used = len({name for one in learned for name in one.clips})
         subclasses = len({one.subclass for one in learned})
         made = f"{counted(len(learned), 'template')} of {counted(subclasses, 'subclass', 'subclasses')}"
-        context.say(f"{made} from {counted(used, 'clip')}")
+        context.message(f"{made} from {counted(used, 'clip')}")
         return {
             "templates": len(learned),
             "subclasses": subclasses,
@@ -75,8 +80,8 @@ def _warnings(templates: Sequence[SubclassTemplate]) -> dict[str, list[str]]:
     for one in templates:
         kinds.setdefault(one.subclass, set()).add(one.kind)
         remarks = list(one.remarks)
-        if one.learned.rounds == MOST_ROUNDS:
-            remarks.append(f"not settled after {MOST_ROUNDS} rounds")
+        if one.learned.rounds == MAX_ROUNDS:
+            remarks.append(f"not settled after {MAX_ROUNDS} rounds")
         for text in remarks:
             found.setdefault(text, {}).setdefault(one.subclass, []).append(one.kind)
     return {

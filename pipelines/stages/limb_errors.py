@@ -63,7 +63,7 @@ class LimbErrors(Stage[LimbErrorsParameters]):
                 for take in map(takes.take, reuse.fresh):
                     found = take_errors(take, clocks, mounts, params)
                     for text in found.left_out:
-                        context.say(f"{take.take}: left out: {text}")
+                        context.message(f"{take.take}: left out: {text}")
                     runs.extend(run_rows(take.take_id, take.take, found))
                     bar.advance(1)
                     yield error_table(take.take_id, take.take, found, context.run, prints[take.take_id])
@@ -90,7 +90,7 @@ def _report(context: StageContext) -> dict[str, object]:
     frames, taus = sum(one.frames for one in found.limbs.values()), {round(tau, 3) for tau in found.taus.values()}
     counts = (counted(len(found.taus), "take"), f"{counted(frames, 'frame')} of limbs", counted(wrong, "wrong run"))
     limits = " to ".join(f"{tau:g}°" for tau in sorted({min(taus), max(taus)})) if taus else "–"
-    context.say(f"{', '.join(counts)}, {counted(jumps, 'jump')}; τ {limits}")
+    context.message(f"{', '.join(counts)}, {counted(jumps, 'jump')}; τ {limits}")
     return {"takes": len(found.taus), "frames": frames, "runs": wrong, "jumps": jumps}
 
 

@@ -14,14 +14,14 @@ from kinedex.pipelines.engine.context import StageContext
 from kinedex.pipelines.engine.digests import Reading
 from kinedex.pipelines.engine.stage import Input, Stage
 from kinedex.pipelines.inertial.limb_motion import KIND, LimbFigures, limb_figures, limb_pieces, limb_table
-from kinedex.pipelines.inertial.limb_sources import (
+from kinedex.pipelines.inertial.parameters import LimbOrientationsParameters
+from kinedex.pipelines.inertial.source_limbs import (
     limb_fingerprints,
     limb_tasks,
     read_limbs,
     reading_digest,
     with_stored_body,
 )
-from kinedex.pipelines.inertial.parameters import LimbOrientationsParameters
 from kinedex.pipelines.inertial.worn_sensors import ReusedTakes
 from kinedex.storage.store.store import Store
 
@@ -62,7 +62,7 @@ class LimbOrientations(Stage[LimbOrientationsParameters]):
                     lacking.update(f"{limb} ({reason})" for limb, reason in found.lacking.items())
                     remarks += len(found.remarks)
                     for remark in found.remarks:
-                        context.say(f"{task.take}: {remark}")
+                        context.message(f"{task.take}: {remark}")
                     bar.advance(1)
                     yield limb_table(task.take_id, task.take, found.limbs, context.run, prints[task.take_id])
 
@@ -89,9 +89,9 @@ def _takes(context: StageContext, store: Store, where: str | None) -> list[str]:
 def _show(context: StageContext, takes: int, figures: LimbFigures, lacking: Counter[str]) -> None:
     """Show statistics of all limbs, and the limbs that are missing in the takes that were read."""
     shares = ", ".join(f"{count} {basis}" for basis, count in figures.bases.most_common()) or "none"
-    context.say(f"{counted(takes, 'take')}, {counted(figures.frames, 'source frame')}; bases of limbs: {shares}")
+    context.message(f"{counted(takes, 'take')}, {counted(figures.frames, 'source frame')}; bases of limbs: {shares}")
     for what, count in lacking.most_common():
-        context.say(f"not known in {counted(count, 'take')}: {what}")
+        context.message(f"not known in {counted(count, 'take')}: {what}")
     if figures.jumped:
         what = "with turns faster than 2,500 degrees a second, marked as jumps"
-        context.say(f"{counted(figures.jumped, 'take')} {what}")
+        context.message(f"{counted(figures.jumped, 'take')} {what}")

@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from kinedex.catalog.recordings import load_recordings
+from kinedex.catalog.camera_recordings import load_recordings
 from kinedex.pipelines.engine.context import StageContext
 from kinedex.pipelines.engine.digests import Reading, hash_of
 from kinedex.pipelines.engine.stage import Stage
-from kinedex.pipelines.recordings.runs import Place
+from kinedex.pipelines.tracking.observed_recordings import files_stamp
 from kinedex.pipelines.tracking.parameters import ObserveParameters
-from kinedex.pipelines.tracking.recordings import files_stamp
-from kinedex.pipelines.tracking.runs import observe
+from kinedex.pipelines.tracking.recording_runs import RunContext
+from kinedex.pipelines.tracking.tracking_runs import observe
 from kinedex.storage.store.store import Store
 
 
@@ -30,9 +30,9 @@ class Observe(Stage[ObserveParameters]):
 
     def run(self, context: StageContext, params: ObserveParameters) -> dict[str, object]:
         """Read the recordings that are new or changed, each committed whole."""
-        place = Place.of(context)
+        place = RunContext.of(context)
         with context.writer() as writer:
             done = observe(writer, params, place)
         if done.unchanged:
-            context.say(f"unchanged: {len(done.unchanged)} of {len(done.names)}")
+            context.message(f"unchanged: {len(done.unchanged)} of {len(done.names)}")
         return {"recordings": done.names, "unchanged": len(done.unchanged)}

@@ -10,7 +10,7 @@ from kinedex.pipelines.engine.context import StageContext
 from kinedex.pipelines.engine.digests import Reading, hash_of
 from kinedex.pipelines.engine.stage import Input, Stage
 from kinedex.pipelines.reconstruction.parameters import PoseDatabaseParameters
-from kinedex.pipelines.reconstruction.pose_database import (
+from kinedex.pipelines.reconstruction.stored_poses import (
     build_pose_database,
     listed_takes,
     pose_tables,
@@ -20,7 +20,7 @@ from kinedex.pipelines.reconstruction.pose_database import (
 from kinedex.storage.store.store import Store
 
 
-class PoseDatabase(Stage[PoseDatabaseParameters]):
+class BuildPoseDatabase(Stage[PoseDatabaseParameters]):
     """Collects distinct poses of the archive, for the lookup of depth frames (thesis, Section 8.3.3)."""
 
     name = "pose_database"
@@ -46,8 +46,8 @@ class PoseDatabase(Stage[PoseDatabaseParameters]):
             try:
                 earlier = read_pose_database(store, context.key())
             except KinedexError as fault:
-                context.say(f"all takes are read: {fault}")
-        made = build_pose_database(store, takes, params.distance_m, earlier, context.say, context.progress)
+                context.message(f"all takes are read: {fault}")
+        made = build_pose_database(store, takes, params.distance_m, earlier, context.message, context.progress)
         with context.writer() as writer:
             writer.put_results("poses", pose_tables(made, context.run), stage=context.key(), run=context.run)
             writer.put_results("pose_takes", take_tables(made, context.run), stage=context.key(), run=context.run)
@@ -56,10 +56,10 @@ class PoseDatabase(Stage[PoseDatabaseParameters]):
         poses = sum(len(one.rows) for one in made.takes)
         lacking = [one.take for one in made.takes if one.bone_lengths is None]
         megabytes = sum(one.directions.nbytes for one in made.takes) / 1e6
-        context.say(
+        context.message(
             f"{counted(frames, 'frame')} of {counted(len(takes), 'take')} → {counted(poses, 'pose')}, "
             f"{megabytes:.1f} MB; {counted(made.read, 'take')} read"
         )
         if lacking:
-            context.say(f"warning: {counted(len(lacking), 'take')} without all named joints lend no pose")
+            context.message(f"warning: {counted(len(lacking), 'take')} without all named joints lend no pose")
         return {"takes": len(takes), "frames": frames, "poses": poses, "read": made.read, "lacking": len(lacking)}

@@ -16,14 +16,14 @@ from kinedex.pipelines.engine.digests import files_digest
 from kinedex.pipelines.engine.display import ResultTable
 from kinedex.pipelines.engine.file_parameters import NamesFile, StageParameters
 from kinedex.pipelines.engine.stage import Input, Stage
-from kinedex.pipelines.ranking.ranked_hits import RankedTemplate, Ranking, ranking_table
-from kinedex.pipelines.ranking.ranking import partly_known, rank_takes
-from kinedex.pipelines.ranking.ranking_evaluation import mean_stiffness
-from kinedex.pipelines.ranking.store_ranking import ranked_templates
-from kinedex.pipelines.search.explanation import explain_store
-from kinedex.pipelines.search.not_applied import known_of, not_applied_table, remarks_on
-from kinedex.pipelines.search.search import search_store
-from kinedex.pipelines.templates.learning import read_templates
+from kinedex.pipelines.keyframes.applicability import known_masks, not_applied_table, remarks_on
+from kinedex.pipelines.keyframes.search_explanation import explain_store
+from kinedex.pipelines.keyframes.store_search import search_store
+from kinedex.pipelines.templates.ranked_hits import RankedTemplate, Ranking, ranking_table
+from kinedex.pipelines.templates.ranking import partly_known, rank_takes
+from kinedex.pipelines.templates.ranking_evaluation import mean_stiffness
+from kinedex.pipelines.templates.store_ranking import ranked_templates
+from kinedex.pipelines.templates.template_learning import read_templates
 from kinedex.storage.store.store import Store
 
 
@@ -60,9 +60,9 @@ class Rank(Stage[Params]):
             [NamedTemplate(one.subclass, one.learned.template) for one in learned], params.delta, queries
         )
         names = dict(store.takes(params.where).select("take_id", "name").iter_rows())
-        known = known_of(store.known, names)
+        known = known_masks(store.known, names)
         partly = partly_known(searched, store.feature_set, known)
-        context.say(*remarks, *remarks_on(partly, known))
+        context.message(*remarks, *remarks_on(partly, known))
         rankings = _rank(context, store, searched, params)
         table = ranking_table(rankings, context.run)
         lists = _lists(store, searched, params.where)
@@ -94,11 +94,11 @@ def _rank(context: StageContext, store: Store, searched: Sequence[RankedTemplate
         for take_id in some:
             rank_takes(store, group, params.tau, 1, f"take_id = {take_id}", workers)
     if len(free) > 1:
-        context.say(
+        context.message(
             f"{len(free)} templates in one pass, and reading is that of the pass; of its ranking each has its part of "
             "the columns"
         )
-    context.say("reading: takes are listed, words read and coded, keyframes looked up; ranking: what comes then")
+    context.message("reading: takes are listed, words read and coded, keyframes looked up; ranking: what comes then")
     found: dict[str, Ranking] = {}
     with context.progress("templates", len(searched)) as progress:
         for group in groups:

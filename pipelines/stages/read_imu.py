@@ -12,18 +12,18 @@ from kinedex.pipelines.engine.context import StageContext
 from kinedex.pipelines.engine.digests import Reading, hash_of
 from kinedex.pipelines.engine.stage import Input, Stage
 from kinedex.pipelines.inertial.parameters import ReadImuParameters
-from kinedex.pipelines.inertial.recording_files import (
+from kinedex.pipelines.inertial.sensor_recordings import (
     ReadRows,
     ReadTask,
+    file_stamps,
     find_recordings,
     read_rows,
     sensor_files,
     sensor_set_of,
     source_root,
-    stamps,
 )
-from kinedex.pipelines.ingestion.failures import Failure, failure_messages, log_table
-from kinedex.pipelines.recordings.runs import earlier_rows, put_beside
+from kinedex.pipelines.ingestion.file_failures import Failure, failure_messages, log_table
+from kinedex.pipelines.tracking.recording_runs import earlier_rows, put_for_takes
 from kinedex.storage.store.store import Store
 from kinedex.storage.store.writer import StoreWriter
 
@@ -36,9 +36,9 @@ _SOURCES = {
     "6D": "estimated without magnetometer (6D: each heading is arbitrary)",
 }
 
-_MOST_WARNINGS = 10
+_MAX_WARNINGS = 10
 
-AT_ONCE = 2_000_000
+BLOCK_SAMPLES = 2_000_000
 """The number of samples per commit."""
 
 
@@ -58,7 +58,7 @@ class ReadImu(Stage[ReadImuParameters]):
     def external_digest(self, params: ReadImuParameters, store: Store | None) -> str:
         """Return a hash of the recordings by path, size and time, and of the file that describes the sensors."""
         sensors = sensor_set_of(params.sensors).entries.model_dump()
-        return hash_of(stamps(sensor_files(source_root(params.source))), sensors)
+        return hash_of(file_stamps(sensor_files(source_root(params.source))), sensors)
 
     def run(self, context: StageContext, params: ReadImuParameters) -> dict[str, object]:
         """Read the recordings that are new or changed; each is committed whole."""
@@ -69,7 +69,7 @@ class ReadImu(Stage[ReadImuParameters]):
         chosen = params.model_dump(exclude={"source", "sensors", "match"})
         tasks = []
         for recording in found.recordings:
-            files = stamps([*recording.files, *recording.beside])
+            files = file_stamps([*recording.files, *recording.beside])
             fingerprint = hash_of(context.code, chosen, sensors, files, recording.name, recording.take_id)
             tasks.append(
                 ReadTask(
@@ -84,12 +84,12 @@ class ReadImu(Stage[ReadImuParameters]):
         done = self._read(context, fresh, unchanged, failures)
         if found.passed_over:
             few = ", ".join(found.passed_over[:3])
-            context.say(
+            context.message(
                 f"passed over, without columns of a sensor that are known: {counted(len(found.passed_over), 'file')}: "
                 f"{few}; `columns:` of a file of sensors names others"
             )
         failures = list(dict.fromkeys(failures))  # one file may belong to the recordings of several takes
-        context.say(*failure_messages(failures))
+        context.message(*failure_messages(failures))
         if not done and not unchanged:
             raise KinedexError("no recording could be read; the reasons are above (table ingest_log)")
         _show(context, len(unchanged))
@@ -109,7 +109,7 @@ class ReadImu(Stage[ReadImuParameters]):
                 if read.tables:
                     waiting.append(read)
                     samples, done = samples + read.tables["imu_samples"].num_rows, done + 1
-                if samples > AT_ONCE:
+                if samples > BLOCK_SAMPLES:
                     _put(context, writer, waiting, gone)
                     waiting, samples = [], 0
             _put(context, writer, waiting, gone)
@@ -124,15 +124,15 @@ def _show(context: StageContext, unchanged: int) -> None:
     stored: list[dict[str, Any]] = earlier_rows(context.open(), "imu_recordings", context.key())
     rows = [row for row in stored if row["limb"] is not None]
     warnings = [f"{row['file']}: warning: {row['sensor']}: {text}" for row in rows for text in row["warnings"]]
-    context.say(*warnings[:_MOST_WARNINGS])
-    if len(warnings) > _MOST_WARNINGS:
-        context.say(
-            f"and {counted(len(warnings) - _MOST_WARNINGS, 'warning')} more (column warnings of imu_recordings)"
+    context.message(*warnings[:_MAX_WARNINGS])
+    if len(warnings) > _MAX_WARNINGS:
+        context.message(
+            f"and {counted(len(warnings) - _MAX_WARNINGS, 'warning')} more (column warnings of imu_recordings)"
         )
     sources = Counter(_SOURCES[row["orientation"]] for row in rows)
     takes, recordings = (len({row[column] for row in rows}) for column in ("take_id", "recording"))
     same = f" ({unchanged:,} unchanged, not read again)" if unchanged else ""
-    context.say(
+    context.message(
         f"{counted(recordings, 'recording')} of {counted(takes, 'take')}{same}: {counted(len(rows), 'sensor')}, "
         f"{sum(row['samples'] for row in rows):,} samples; orientations {', '.join(sources)}"
     )
@@ -143,7 +143,7 @@ def _put(context: StageContext, writer: StoreWriter, read: Sequence[ReadRows], g
     going = sorted(gone | {one.recording.name for one in read})
     for kind in KINDS:
         tables = [one.tables[kind] for one in read]
-        put_beside(writer, kind, tables, stage=context.key(), run=context.run, column="recording", gone=going)
+        put_for_takes(writer, kind, tables, stage=context.key(), run=context.run, column="recording", gone=going)
     writer.commit()
 
 

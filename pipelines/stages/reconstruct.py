@@ -9,8 +9,14 @@ from kinedex.pipelines.engine.context import StageContext
 from kinedex.pipelines.engine.digests import Reading, hash_of
 from kinedex.pipelines.engine.stage import Input, Stage
 from kinedex.pipelines.reconstruction.parameters import ReconstructParameters
-from kinedex.pipelines.reconstruction.runs import chosen_recordings, files_stamp, named_bodies, reconstruct, take_digest
-from kinedex.pipelines.recordings.runs import Place, are_takes_there, renew_index
+from kinedex.pipelines.reconstruction.reconstruction_runs import (
+    chosen_recordings,
+    files_stamp,
+    named_bodies,
+    reconstruct,
+    take_digest,
+)
+from kinedex.pipelines.tracking.recording_runs import RunContext, has_all_takes, rebuild_index
 from kinedex.storage.store.store import Store
 
 
@@ -32,14 +38,14 @@ class Reconstruct(Stage[ReconstructParameters]):
 
     def is_current(self, store: Store) -> bool:
         """Return whether all reconstructed takes exist in the store."""
-        return are_takes_there(store, "reconstructions", "reconstruct")
+        return has_all_takes(store, "reconstructions", "reconstruct")
 
     def run(self, context: StageContext, params: ReconstructParameters) -> dict[str, object]:
         """Reconstruct the recordings that are new or changed, each committed whole."""
-        place = Place.of(context)
+        place = RunContext.of(context)
         with context.writer() as writer:
             done = reconstruct(writer, params, context.key(context.inputs["poses"]), place)
-        renew_index(context.store_path, context.wait)
+        rebuild_index(context.store_path, context.wait)
         if done.unchanged:
-            context.say(f"unchanged: {len(done.unchanged)} of {len(done.names)}")
+            context.message(f"unchanged: {len(done.unchanged)} of {len(done.names)}")
         return {"takes": done.names, "unchanged": len(done.unchanged)}

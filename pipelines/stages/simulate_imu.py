@@ -13,11 +13,11 @@ from kinedex.ops.wording import counted
 from kinedex.pipelines.engine.context import StageContext
 from kinedex.pipelines.engine.digests import Reading, files_digest, hash_of
 from kinedex.pipelines.engine.stage import Input, Stage
-from kinedex.pipelines.inertial.limb_sources import reading_digest
 from kinedex.pipelines.inertial.parameters import SimulateImuParameters
-from kinedex.pipelines.simulation.imu_recordings import Request, Windowing, actors_of, simulate_stored, take_segments
-from kinedex.pipelines.simulation.imu_sensors import Wearing
-from kinedex.pipelines.simulation.recording_files import new_folder
+from kinedex.pipelines.inertial.source_limbs import reading_digest
+from kinedex.pipelines.simulation.imu_recordings import ImuRequest, Windowing, actors_of, simulate_stored, take_segments
+from kinedex.pipelines.simulation.imu_sensors import WearOptions
+from kinedex.pipelines.simulation.recording_folder import new_folder
 from kinedex.storage.store.store import Store
 
 
@@ -46,10 +46,10 @@ class SimulateImu(Stage[SimulateImuParameters]):
         names = store.takes_table(params.where)["name"].to_pylist()
         if not names:
             raise KinedexError(f"where: no take fits '{params.where}'; `--set {context.stage}.where=true` takes all")
-        request = Request(
+        request = ImuRequest(
             tuple(params.limbs),
             params.grade,
-            Wearing(
+            WearOptions(
                 params.seed, params.rate_hz, lever_m=(params.lever_m[0], params.lever_m[1], params.lever_m[2]),
                 declination_deg=params.declination_deg, stand_s=params.stand_s, mount=params.mount,
             ),
@@ -64,8 +64,8 @@ class SimulateImu(Stage[SimulateImuParameters]):
         _replace(folder)
         files = sorted(path.relative_to(context.store_path).as_posix() for path in folder.rglob("*") if path.is_file())
         number = counted(len(made.recordings), "take")
-        context.say(f"{number}, {made.seconds:,.1f} s, {made.samples:,} samples: {folder.resolve()}")
-        context.say(*made.remarks())
+        context.message(f"{number}, {made.seconds:,.1f} s, {made.samples:,} samples: {folder.resolve()}")
+        context.message(*made.remarks())
         return {
             "takes": len(made.recordings),
             "seconds": round(made.seconds, 3),

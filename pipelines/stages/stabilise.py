@@ -8,12 +8,12 @@ from kinedex.catalog.classes import class_files
 from kinedex.pipelines.engine.context import StageContext
 from kinedex.pipelines.engine.digests import Reading, files_digest, hash_of
 from kinedex.pipelines.engine.stage import Input, Stage
-from kinedex.pipelines.recordings.runs import Place, are_takes_there, earlier_rows, renew_index
-from kinedex.pipelines.templates.learning import read_templates
+from kinedex.pipelines.templates.template_learning import read_templates
 from kinedex.pipelines.templates.training import TemplateParameters, training_material
 from kinedex.pipelines.tracking.parameters import StabiliseParameters, TrackParameters
-from kinedex.pipelines.tracking.runs import Archive, stabilise
+from kinedex.pipelines.tracking.recording_runs import RunContext, earlier_rows, has_all_takes, rebuild_index
 from kinedex.pipelines.tracking.tracked_takes import STABILISED
+from kinedex.pipelines.tracking.tracking_runs import Archive, stabilise
 from kinedex.storage.store.store import Store
 
 
@@ -39,11 +39,11 @@ class Stabilise(Stage[StabiliseParameters]):
 
     def is_current(self, store: Store) -> bool:
         """Return whether all stabilised takes exist in the store."""
-        return are_takes_there(store, "tracks", "stabilise")
+        return has_all_takes(store, "tracks", "stabilise")
 
     def run(self, context: StageContext, params: StabiliseParameters) -> dict[str, object]:
         """Stabilise the takes that are new or changed, each committed whole."""
-        place = Place.of(context)
+        place = RunContext.of(context)
         tracks = context.key(context.inputs["tracks"])
         with context.writer() as writer:
             store = writer.store
@@ -52,7 +52,7 @@ class Stabilise(Stage[StabiliseParameters]):
             takes = params.takes or [str(row["take"]) for row in earlier_rows(store, "tracks", tracks)]
             tracker = context.params_of("tracks", TrackParameters)
             done = stabilise(writer, params, tracker, takes, Archive(learned, material.clips), place)
-        renew_index(context.store_path, context.wait)
+        rebuild_index(context.store_path, context.wait)
         if done.unchanged:
-            context.say(f"unchanged: {len(done.unchanged)} of {len(done.names)}")
+            context.message(f"unchanged: {len(done.unchanged)} of {len(done.names)}")
         return {"takes": done.names, "unchanged": len(done.unchanged), "remarks": done.remarks}

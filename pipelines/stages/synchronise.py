@@ -7,13 +7,13 @@ from typing import Any, ClassVar
 
 import pyarrow.compute as pc
 
-from kinedex.ops.wording import counted, few
+from kinedex.ops.wording import counted, name_list
 from kinedex.pipelines.engine.context import StageContext
 from kinedex.pipelines.engine.digests import Reading, hash_of
 from kinedex.pipelines.engine.display import ResultTable
 from kinedex.pipelines.engine.stage import Input, Stage
 from kinedex.pipelines.inertial.parameters import SynchroniseParameters
-from kinedex.pipelines.inertial.synchronisation import LEAST_DRIFT_S, sync_row, synchronise
+from kinedex.pipelines.inertial.synchronisation import MIN_DRIFT_S, sync_row, synchronise
 from kinedex.pipelines.inertial.worn_sensors import SYNC, ReusedTakes, WornTake, WornTakes, take_tables
 from kinedex.storage.store.store import Store
 
@@ -46,17 +46,17 @@ class Synchronise(Stage[SynchroniseParameters]):
                 bar.advance(1)
         reuse.put(SYNC, take_tables(SYNC, rows, reuse.fresh, context.run))
         for name in takes.without_limbs:
-            context.say(f"{name}: left out: its limbs were not read; `limb_orientations.where` selects takes")
+            context.message(f"{name}: left out: its limbs were not read; `limb_orientations.where` selects takes")
         for row in rows:
             if row["left_out"]:
-                context.say(f"{row['take']}, {row['recording']}: left out: {row['left_out']}")
+                context.message(f"{row['take']}, {row['recording']}: left out: {row['left_out']}")
         _show_constant(context, rows, params)
         shown = [row for row in rows if not row["left_out"]]
         if shown:
             context.terminal.show(_table(shown))
         every = context.open().result(SYNC, stage=context.key())
         found = every.num_rows - pc.count(every.column("left_out")).as_py()
-        context.say(f"{counted(found, 'recording')} synchronised, {every.num_rows - found} left out")
+        context.message(f"{counted(found, 'recording')} synchronised, {every.num_rows - found} left out")
         reuse.report("not synchronised")
         return {"synchronised": found, "without_clock": every.num_rows - found, "unchanged": reuse.unchanged}
 
@@ -69,9 +69,10 @@ def _show_constant(context: StageContext, rows: list[dict[str, Any]], params: Sy
     """Show the recordings for which no clock drift could be estimated although the parameters ask for it."""
     constant = [str(row["recording"]) for row in rows if not row["left_out"] and row["ppm"] == 0.0]
     if params.clock == "drift" and constant:
-        context.say(
+        context.message(
             f"clock: drift: constant in {counted(len(constant), 'recording')}, since a drift shows only where take and "
-            f"calibrated sensors share {LEAST_DRIFT_S / 60:.0f} minutes, and `offset_s` is not given: {few(constant)}"
+            f"calibrated sensors share {MIN_DRIFT_S / 60:.0f} minutes, and `offset_s` is not given: "
+            f"{name_list(constant)}"
         )
 
 

@@ -4,14 +4,14 @@ from __future__ import annotations
 
 from typing import ClassVar
 
-from kinedex.catalog.recordings import load_recordings
+from kinedex.catalog.camera_recordings import load_recordings
 from kinedex.pipelines.engine.context import StageContext
 from kinedex.pipelines.engine.digests import Reading, hash_of
 from kinedex.pipelines.engine.stage import Input, Stage
-from kinedex.pipelines.recordings.runs import Place, are_takes_there, renew_index
 from kinedex.pipelines.tracking.parameters import ObserveParameters, TrackParameters
-from kinedex.pipelines.tracking.runs import track
-from kinedex.pipelines.tracking.work import archive_body
+from kinedex.pipelines.tracking.recording_runs import RunContext, has_all_takes, rebuild_index
+from kinedex.pipelines.tracking.tracking_runs import track
+from kinedex.pipelines.tracking.tracking_tasks import archive_body
 from kinedex.storage.snapshot.schemas import RECORDED_FORMATS
 from kinedex.storage.store.store import Store
 
@@ -31,16 +31,16 @@ class Track(Stage[TrackParameters]):
 
     def is_current(self, store: Store) -> bool:
         """Return whether all tracked takes exist in the store."""
-        return are_takes_there(store, "tracks", "track")
+        return has_all_takes(store, "tracks", "track")
 
     def run(self, context: StageContext, params: TrackParameters) -> dict[str, object]:
         """Track the recordings that are new or changed, each committed whole."""
-        place = Place.of(context)
+        place = RunContext.of(context)
         observed = context.params_of("recordings", ObserveParameters)
         names = observed.only or list(load_recordings(observed.recordings).recordings)
         with context.writer() as writer:
             done = track(writer, params, names, context.key(context.inputs["recordings"]), place)
-        renew_index(context.store_path, context.wait)
+        rebuild_index(context.store_path, context.wait)
         if done.unchanged:
-            context.say(f"unchanged: {len(done.unchanged)} of {len(done.names)}")
+            context.message(f"unchanged: {len(done.unchanged)} of {len(done.names)}")
         return {"takes": done.names, "unchanged": len(done.unchanged)}

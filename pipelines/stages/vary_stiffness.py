@@ -16,7 +16,7 @@ from kinedex.pipelines.engine.digests import files_digest
 from kinedex.pipelines.engine.display import ResultTable
 from kinedex.pipelines.engine.file_parameters import StageParameters
 from kinedex.pipelines.engine.stage import Input, Stage
-from kinedex.pipelines.ranking.ranking_evaluation import (
+from kinedex.pipelines.templates.ranking_evaluation import (
     WRITTEN,
     Trial,
     mean_average_precision,
@@ -25,8 +25,8 @@ from kinedex.pipelines.ranking.ranking_evaluation import (
     run_trials,
     trial_rows,
 )
-from kinedex.pipelines.ranking.store_ranking import ranked_templates
-from kinedex.pipelines.templates.learning import read_templates
+from kinedex.pipelines.templates.store_ranking import ranked_templates
+from kinedex.pipelines.templates.template_learning import read_templates
 from kinedex.storage.formats.labels.formats import ground_truth_files
 from kinedex.storage.store.store import Store
 

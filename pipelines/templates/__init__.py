@@ -1,1 +1,1 @@
-"""Templates of an archive: learn them from clips, mirrored clips, files and combinations, and display them."""
+"""Motion templates: learn them from examples, read and combine them, and rank archives by them."""

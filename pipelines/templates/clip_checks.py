@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from kinedex.ops.wording import few
+from kinedex.ops.wording import name_list
 
 FEW = 3
 """The number of clips below which they hardly show which features vary."""
@@ -53,11 +53,11 @@ def clip_remarks(names: Sequence[str], lengths: Sequence[int], costs: Sequence[f
         if length > UNLIKE_LENGTH * median or UNLIKE_LENGTH * length < median
     ]
     if unlike:
-        remarks.append(f"clips of very different length, the median being {median:g} frames: {few(unlike)}")
+        remarks.append(f"clips of very different length, the median being {median:g} frames: {name_list(unlike)}")
     lonely = [f"{names[index]} (cost {costs[index]:.3f})" for index in far_clips(costs)]
     if lonely:
         typical = float(np.median(costs))
-        remarks.append(f"clips far from all others, whose median cost is {typical:.3f}: {few(lonely)}")
+        remarks.append(f"clips far from all others, whose median cost is {typical:.3f}: {name_list(lonely)}")
     return tuple(remarks)
 
 

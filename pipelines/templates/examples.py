@@ -13,15 +13,15 @@ import numpy as np
 from pydantic import BaseModel, ConfigDict, Field
 
 from kinedex.ops.errors import KinedexError
-from kinedex.ops.templates.templates import MOST_AVERAGED
-from kinedex.ops.wording import counted, few
+from kinedex.ops.templates.templates import MAX_AVERAGED
+from kinedex.ops.wording import counted, name_list
 from kinedex.ops.words import ALL_KNOWN, NO_WORD, U64
 from kinedex.pipelines.engine.digests import Reading
-from kinedex.pipelines.labels.segments import placed_files
+from kinedex.pipelines.labels.file_segments import placed_files
 from kinedex.pipelines.labels.unmatched_labels import UnmatchedLabels
+from kinedex.storage.formats.labels.file_labels import ERROR
 from kinedex.storage.formats.labels.formats import ground_truth_files, read_labels
-from kinedex.storage.formats.labels.segments import ERROR
-from kinedex.storage.snapshot.labels import is_of_limbs
+from kinedex.storage.snapshot.stored_labels import is_of_limbs
 from kinedex.storage.store.store import Store
 
 if TYPE_CHECKING:
@@ -226,9 +226,11 @@ def _labelled(store: Store, takes: pl.DataFrame) -> tuple[list[Example], list[st
             changed.append(shown)
         edges = (one["start"], one["stop"], frames)
         found.append(Example(take_id, one["take"], *edges, one["class"], "label", one["verdict"] == "positive"))
-    remarks = [f"labels beyond the end of their take, excluded: {few(beyond)}"] if beyond else []
+    remarks = [f"labels beyond the end of their take, excluded: {name_list(beyond)}"] if beyond else []
     if changed:
-        remarks.append(f"labels made when the take's file was another one, learned from all the same: {few(changed)}")
+        remarks.append(
+            f"labels made when the take's file was another one, learned from all the same: {name_list(changed)}"
+        )
     return found, remarks
 
 
@@ -341,7 +343,7 @@ def examples_read(store: Store, params: ExampleParameters) -> Reading:
     for one, words in example_words(store, found).items():
         own = np.ascontiguousarray(words)
         mask = (store.known[one.take_id],) if one.take_id in store.known else ()
-        actor = (actors[one.take],) if counts[one.label] > MOST_AVERAGED else ()  # clips are drawn evenly over actors
+        actor = (actors[one.take],) if counts[one.label] > MAX_AVERAGED else ()  # clips are drawn evenly over actors
         hasher.update(repr((one.name, one.label, one.positive, len(own), *mask, *actor)).encode() + own.tobytes())
     clips = sum(one.source == "clip" for one in found)
     parts = [counted(clips, "clip")] if clips else []

@@ -19,7 +19,7 @@ from kinedex.ops.words import ALL_KNOWN, NO_WORD, U64, bits
 from kinedex.pipelines.annotation.threshold_calibration import Fold, fold_costs
 from kinedex.pipelines.engine.display import Progress, no_progress
 from kinedex.pipelines.templates.examples import interval_of
-from kinedex.pipelines.templates.learning import SubclassTemplate, TrainingClips
+from kinedex.pipelines.templates.template_learning import SubclassTemplate, TrainingClips
 from kinedex.storage.store.store import Store
 
 Key = tuple[str, str, int, int]
@@ -143,7 +143,7 @@ def poses_of_columns(template: Template, clip: StoredClip) -> I64:
     return frames
 
 
-class Learned(Protocol):
+class LearnedFrom(Protocol):
     """A learned template: its subclass, the names of its clips, and its origin."""
 
     @property
@@ -166,7 +166,7 @@ class NearestExample:
 
 
 def nearest_examples(
-    store: Store, hits: Mapping[Key, str | None], templates: Sequence[Learned], progress: Progress = no_progress
+    store: Store, hits: Mapping[Key, str | None], templates: Sequence[LearnedFrom], progress: Progress = no_progress
 ) -> dict[Key, NearestExample]:
     """Find the nearest example of each hit.
 
@@ -209,7 +209,7 @@ def nearest_examples(
     return found
 
 
-def clips_of(store: Store, template: Learned) -> list[tuple[str, int, int]]:
+def clips_of(store: Store, template: LearnedFrom) -> list[tuple[str, int, int]]:
     """Return the clips of a template that exist in the store, as take, start and stop."""
     return clip_intervals(store, template.clips[: len(template.clips) - mirrored_clips(template.origin)])
 

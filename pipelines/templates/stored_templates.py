@@ -14,15 +14,15 @@ from kinedex.catalog.features import FeatureSet
 from kinedex.ops.errors import KinedexError, did_you_mean
 from kinedex.ops.intervals import in_seconds, nearest_frame
 from kinedex.ops.templates.derived_templates import without_unknown
-from kinedex.ops.templates.templates import Kind, Learned, NamedTemplate, Template, learn, quantise
+from kinedex.ops.templates.templates import Kind, LearnedTemplate, NamedTemplate, Template, learn, quantise
 from kinedex.ops.words import ALL_KNOWN, NO_WORD, U64
-from kinedex.storage.snapshot.shown_results import pipeline_of
+from kinedex.storage.snapshot.visible_results import pipeline_of
 from kinedex.storage.store.store import Store
 
 TEMPLATE_ENDINGS = (".yaml", ".yml", ".csv")
 
 
-LEARNED = "learned"
+LEARNED_ORIGIN = "learned"
 """The origin of a template that was learned from clips of its own class."""
 
 
@@ -373,9 +373,9 @@ class SubclassTemplate:
 
     subclass: str
     kind: Kind
-    learned: Learned
+    learned: LearnedTemplate
     clips: tuple[str, ...]
-    origin: str = LEARNED
+    origin: str = LEARNED_ORIGIN
     remarks: tuple[str, ...] = ()
 
 
@@ -387,7 +387,7 @@ def template_of(row: dict[str, Any]) -> SubclassTemplate:
         np.array(row["weights"]),
         None if counts is None else np.array(counts),
     )
-    learned = Learned(template, row["rounds"], tuple(row["costs"]), tuple(row["clip_costs"]))
+    learned = LearnedTemplate(template, row["rounds"], tuple(row["costs"]), tuple(row["clip_costs"]))
     return SubclassTemplate(
         row["subclass"], row["kind"], learned, tuple(row["clips"]), row["origin"], tuple(row["remarks"])
     )

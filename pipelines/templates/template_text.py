@@ -11,7 +11,7 @@ from kinedex.ops.intervals import shown_seconds
 from kinedex.ops.templates.derived_templates import Contrast, consistency
 from kinedex.ops.templates.templates import CONVERGED, quantise
 from kinedex.ops.wording import counted
-from kinedex.pipelines.templates.learning import SubclassTemplate
+from kinedex.pipelines.templates.template_learning import SubclassTemplate
 
 ON, OFF, WILDCARD = "█", "·", "▒"
 
@@ -35,12 +35,12 @@ def template_lines(
         The width of the terminal.
     """
     template = one.learned.template
-    yield heading(one, rate_hz)
+    yield template_heading(one, rate_hz)
     if template.feature_weights is not None:
         yield weights_line(template.feature_weights.tolist(), features)
     yield from (f"! {remark}" for remark in one.remarks)
     if len(one.learned.costs) > 1:
-        yield f"largest cost between two clips, round by round: {trace(one.learned.costs)}"
+        yield f"largest cost between two clips, round by round: {convergence_text(one.learned.costs)}"
     yield ""
     names = [f"{feature.name} {feature.number:>2}" for feature in features.features]
     room = max(width - max(map(len, names)) - 9, 10)
@@ -58,7 +58,7 @@ def template_lines(
         yield f"{name:>{max(map(len, names))}} {signs} {agreement[number - 1]:>4.0%}"
 
 
-def heading(one: SubclassTemplate, rate_hz: float) -> str:
+def template_heading(one: SubclassTemplate, rate_hz: float) -> str:
     """Return a heading for a template: name, kind, length and origin."""
     columns = len(one.learned.template)
     made = one.origin
@@ -75,7 +75,7 @@ def weights_line(weights: Sequence[float], features: FeatureSet) -> str:
     return f"feature weights: {', '.join(unlike)}; all others 1" if unlike else "feature weights: all 1"
 
 
-def trace(costs: tuple[float, ...]) -> str:
+def convergence_text(costs: tuple[float, ...]) -> str:
     """Return the largest cost between two clips for each round, and whether it converged."""
     end = "settled" if costs[-1] < CONVERGED else "no longer changed, or stopped"
     return f"{' → '.join(f'{cost:.3f}' for cost in costs)} ({end})"

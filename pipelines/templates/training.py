@@ -16,11 +16,16 @@ from kinedex.catalog.template_files import read_templates
 from kinedex.ops.arrays import F64
 from kinedex.ops.errors import KinedexError, did_you_mean
 from kinedex.ops.templates.derived_templates import joined
-from kinedex.ops.templates.templates import Kind, Learned, NamedTemplate
+from kinedex.ops.templates.templates import Kind, LearnedTemplate, NamedTemplate
 from kinedex.pipelines.engine.file_parameters import NamesFile
 from kinedex.pipelines.labels.unmatched_labels import UnmatchedLabels
 from kinedex.pipelines.templates.examples import ExampleParameters, examples_of
-from kinedex.pipelines.templates.learning import SubclassTemplate, TrainingClips, as_subclass_template, example_clips
+from kinedex.pipelines.templates.template_learning import (
+    SubclassTemplate,
+    TrainingClips,
+    as_subclass_template,
+    example_clips,
+)
 from kinedex.storage.store.store import Store
 
 
@@ -112,7 +117,7 @@ def training_material(store: Store, params: TemplateParameters) -> TrainingMater
     return TrainingMaterial(takes, clips, unused, found.remarks, found.unmatched)
 
 
-def completed(
+def with_given_templates(
     learned: Sequence[SubclassTemplate],
     params: TemplateParameters,
     feature_set: FeatureSet,
@@ -301,5 +306,5 @@ def combined(
             between = f" with {combination.gap} columns of anything between" if combination.gap else ""
             origin = f"{', then '.join(combination.parts)}{between}"
             clips = tuple(dict.fromkeys(clip for one in parts for clip in one.clips))
-            found.append(SubclassTemplate(name, kind, Learned(template, 0, ()), clips, origin))
+            found.append(SubclassTemplate(name, kind, LearnedTemplate(template, 0, ()), clips, origin))
     return found

@@ -1,1 +1,1 @@
-"""Track camera recordings, and stabilise the tracks with priors learned from the archive (thesis, Chapter 6)."""
+"""Track camera recordings, stabilise tracks by priors (thesis, Chapter 6), and store takes made of recordings."""

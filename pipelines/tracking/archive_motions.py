@@ -14,18 +14,18 @@ from kinedex.catalog.classes import Classes
 from kinedex.catalog.features import FeatureSet
 from kinedex.catalog.kinematics import load_kinematic_chain
 from kinedex.ops.arrays import U64
-from kinedex.ops.body.facing_direction import mirrored_places
+from kinedex.ops.body.facing_direction import mirrored_positions
 from kinedex.ops.body.kinematic_chain import Poses
 from kinedex.ops.body.pose_fit import fit_poses, measured_body
 from kinedex.ops.errors import ParameterError
-from kinedex.ops.priors.archive_poses import Motion, PoseTable, clip_frames, pose_table
+from kinedex.ops.priors.archive_poses import PoseTable, PriorMotion, clip_frames, pose_table
 from kinedex.ops.priors.constraints import template_marks
 from kinedex.ops.templates.templates import Template, quantise
-from kinedex.ops.wording import few
+from kinedex.ops.wording import name_list
 from kinedex.ops.words import NO_WORD
 from kinedex.pipelines.engine.executors import Executor
 from kinedex.pipelines.templates.examples import interval_of
-from kinedex.pipelines.templates.learning import SubclassTemplate, TrainingClips
+from kinedex.pipelines.templates.template_learning import SubclassTemplate, TrainingClips
 from kinedex.storage.snapshot.frames import words_of
 from kinedex.storage.snapshot.parts import joint_positions
 from kinedex.storage.snapshot.schemas import result_table
@@ -124,7 +124,7 @@ def archive_poses(
     if not found:
         remarks.append("the archive has no example clips to take poses from: archive poses are impossible")
     elif without:
-        remarks.append(f"no example clips, so no archive poses: {few(without)}")
+        remarks.append(f"no example clips, so no archive poses: {name_list(without)}")
     return PosesOfArchive(dict(sorted(found.items())), remarks)
 
 
@@ -134,7 +134,7 @@ def archive_motions(
     features: FeatureSet,
     classes: Classes,
     delta: float,
-) -> list[Motion]:
+) -> list[PriorMotion]:
     """Return the motions of an archive, sorted by name.
 
     Parameters
@@ -158,7 +158,7 @@ def archive_motions(
         own = poses.classes.get(one.subclass) if poses is not None else None
         edits = owner.marks if owner is not None else ()
         marks = template_marks(template, bits, owner is not None and owner.locomotion, edits)
-        motions.append(Motion(one.subclass, template, own.table if own is not None else None, marks))
+        motions.append(PriorMotion(one.subclass, template, own.table if own is not None else None, marks))
     return motions
 
 
@@ -232,13 +232,13 @@ def _clip_poses(store: Store, name: str, words: U64, mirrored: bool) -> Poses:
     start, stop, _ = part.indices(store.take_frames[store.take_ids[take]])
     rows = store.frames(take, start, stop)
     valid = np.flatnonzero(words_of(rows) != NO_WORD)
-    places = joint_positions(rows, store.feature_set.joints).astype(np.float64)
-    places = places[:, :, valid[0] : valid[-1] + 1]
+    positions = joint_positions(rows, store.feature_set.joints).astype(np.float64)
+    positions = positions[:, :, valid[0] : valid[-1] + 1]
     lacking = [joint for joint in chain.joints if joint not in store.feature_set.joints]
-    if lacking or places.shape[2] != len(words):
-        raise ParameterError("clip", f"of all joints and {len(words)} frames", f"{lacking}, {places.shape[2]}")
-    joints = places[[store.feature_set.joints.index(joint) for joint in chain.joints]]
+    if lacking or positions.shape[2] != len(words):
+        raise ParameterError("clip", f"of all joints and {len(words)} frames", f"{lacking}, {positions.shape[2]}")
+    joints = positions[[store.feature_set.joints.index(joint) for joint in chain.joints]]
     if mirrored:
-        joints = mirrored_places(joints.transpose(2, 0, 1), chain.joints).transpose(1, 2, 0)
+        joints = mirrored_positions(joints.transpose(2, 0, 1), chain.joints).transpose(1, 2, 0)
     joints = np.ascontiguousarray(joints)
     return fit_poses(measured_body(chain, joints), joints)

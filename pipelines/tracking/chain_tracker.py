@@ -9,12 +9,12 @@ import numpy as np
 
 from kinedex.ops.arrays import F64, I64, Bool
 from kinedex.ops.body.kinematic_chain import ChainBody, Poses, forward
-from kinedex.ops.priors.stabilise import Track
+from kinedex.ops.priors.stabilisation import Track
 from kinedex.ops.tracking.contours import Observed
 from kinedex.ops.tracking.first_track import first_track
 from kinedex.ops.tracking.frame_tracker import track_frames
-from kinedex.ops.tracking.observations import LEAST_CONFIDENCE, Places, PriorTerms, Rays
-from kinedex.ops.tracking.rays import LEAST_DEPTH_M, SIGMA_PX
+from kinedex.ops.tracking.observations import MIN_CONFIDENCE, JointPositions, PriorTerms, Rays
+from kinedex.ops.tracking.rays import MIN_DEPTH_M, SIGMA_PX
 from kinedex.ops.tracking.take_tracker import SCHEDULE, Loss, TakeTrack, track_take, track_take_on_silhouettes
 from kinedex.ops.tracking.trust import SEEN, TRUST_WIDTH, Trust, exchanged_sides, restart, trust
 
@@ -44,7 +44,7 @@ class TrackSettings:
 
 
 class ChainTracker:
-    """A tracker with its observations, as required by `ops.priors.stabilise`.
+    """A tracker with its observations, as required by `ops.priors.stabilisation`.
 
     Parameters
     ----------
@@ -89,7 +89,7 @@ class ChainTracker:
     def track(self, start: Poses, priors: PriorTerms | None) -> Track:
         """Track the recording again from a start, with prior terms."""
         if self.settings.tracker == "frames":
-            return self._frame_by_frame(Poses(start.places[:1], start.turns[:1]), priors)
+            return self._frame_by_frame(Poses(start.positions[:1], start.rotations[:1]), priors)
         fitting = replace(self.observed, observations=self._exchanged(start))
         found = track_take(fitting, start, priors, self.settings.loss, self.settings.sigma_px, SCHEDULE[-1:])
         return self._with_silhouettes(found, priors)
@@ -108,7 +108,7 @@ class ChainTracker:
             return None
         return trust(observed.body, observed.observations, observed.points, poses, self.settings.sigma_px)
 
-    def _exchanged(self, poses: Poses) -> Rays | Places | None:
+    def _exchanged(self, poses: Poses) -> Rays | JointPositions | None:
         """Return the observations, with legs exchanged if that fits the poses; unchanged for the tracker `frames`."""
         observed, settings = self.observed, self.settings
         if observed.observations is None or settings.tracker == "frames":
@@ -119,7 +119,7 @@ class ChainTracker:
         """Return the nodes on whose keypoints the cameras agree, bool (T, K); all nodes for silhouettes alone."""
         observed, fitting = self.observed, self._exchanged(track.poses)
         if fitting is None:
-            return np.ones(track.poses.turns.shape[:2], np.bool_)
+            return np.ones(track.poses.rotations.shape[:2], np.bool_)
         return trust(observed.body, fitting, observed.points, track.poses, self.settings.sigma_px).nodes_seen
 
     def restart(self, poses: Poses, nodes_seen: Bool) -> Poses:
@@ -148,7 +148,7 @@ def keypoint_sigma(rays: Rays, points: F64) -> float:
     gaps = points[:, None] - rays.centres[None, :, None]
     depths = np.einsum("tvpi,tvpi->tvp", gaps, rays.directions)
     apart = np.linalg.norm(gaps - depths[..., None] * rays.directions, axis=3)
-    used = (rays.confidence >= LEAST_CONFIDENCE) & (depths > LEAST_DEPTH_M)
+    used = (rays.confidence >= MIN_CONFIDENCE) & (depths > MIN_DEPTH_M)
     pixels = (apart / np.where(used, depths, 1.0) * rays.focal_px[None, :, None])[used]
     return max(SIGMA_PX, float(np.median(pixels)) / _MEDIAN_OF_GAUSSIAN) if len(pixels) else SIGMA_PX
 
@@ -190,8 +190,8 @@ def ray_residuals(observed: Observed, poses: Poses, sigma_px: float) -> RayResid
     gaps = places[:, None] - rays.centres[None, :, None]
     depths = np.einsum("tvpi,tvpi->tvp", gaps, rays.directions)
     apart = np.linalg.norm(gaps - depths[..., None] * rays.directions, axis=3)
-    pixels = apart / np.maximum(depths, LEAST_DEPTH_M) * rays.focal_px[None, :, None]
-    seen = rays.confidence >= LEAST_CONFIDENCE
+    pixels = apart / np.maximum(depths, MIN_DEPTH_M) * rays.focal_px[None, :, None]
+    seen = rays.confidence >= MIN_CONFIDENCE
     weights = (1.0 + (pixels / (sigma_px * TRUST_WIDTH)) ** 2) ** -2
     return RayResiduals(np.where(seen, pixels, np.nan), np.where(seen, weights, 0.0))
 

@@ -8,7 +8,7 @@ from typing import Annotated, Literal
 from pydantic import Field, ValidationError
 
 from kinedex.ops.errors import KinedexError
-from kinedex.ops.priors.stabilise import GUARD, Settings
+from kinedex.ops.priors.stabilisation import GUARD, Settings
 from kinedex.ops.templates.templates import Kind
 from kinedex.ops.tracking.take_tracker import Loss
 from kinedex.pipelines.engine.file_parameters import NamesFile, StageParameters

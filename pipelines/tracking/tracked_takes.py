@@ -22,8 +22,8 @@ from kinedex.ops.intervals import in_seconds
 from kinedex.ops.priors.allocation import PriorRow
 from kinedex.ops.tracking.observations import Rays
 from kinedex.pipelines.inertial.limb_error_curves import judged_limbs
-from kinedex.pipelines.recordings.recorded_takes import Provenance, Truth, at_rate, read_truth
 from kinedex.pipelines.tracking.chain_tracker import ChainTracker, frame_figures, ray_residuals
+from kinedex.pipelines.tracking.recorded_takes import Provenance, TruePositions, at_rate, read_truth
 from kinedex.storage.formats.motion.reader import Body
 from kinedex.storage.snapshot.schemas import TRACK_FORMAT, result_schema, result_table
 from kinedex.storage.store.store import Store
@@ -219,7 +219,7 @@ class TrackResult:
                 "body_from": self.body_from,
                 "sigma_px": self.tracker.settings.sigma_px,
                 "rate_hz": self.tracker.rate_hz,
-                "source_frames": len(self.poses.places),
+                "source_frames": len(self.poses.positions),
                 "rounds": self.rounds,
                 "hits": len({row.hit for row in last if row.kept}),
                 "withdrawn": len({(row.round, row.hit) for row in self.rows if not row.kept}),
@@ -229,12 +229,14 @@ class TrackResult:
         ]
 
     def _poses(self) -> dict[str, Any]:
-        frames, nodes = self.poses.turns.shape[:2]
-        turns = np.stack([vector_of(one) for one in self.poses.turns.reshape(-1, 3, 3)]).reshape(frames, 3 * nodes)
-        return {"source_frame": np.arange(frames), "place": _lists(self.poses.places), "turns": _lists(turns)}
+        frames, nodes = self.poses.rotations.shape[:2]
+        rotations = np.stack([vector_of(one) for one in self.poses.rotations.reshape(-1, 3, 3)]).reshape(
+            frames, 3 * nodes
+        )
+        return {"source_frame": np.arange(frames), "place": _lists(self.poses.positions), "turns": _lists(rotations)}
 
     def _frames(self) -> dict[str, Any]:
-        frames, figures = len(self.poses.places), frame_figures(self.tracker, self.poses)
+        frames, figures = len(self.poses.positions), frame_figures(self.tracker, self.poses)
         unknown = [None] * frames
         return {
             "source_frame": np.arange(frames),
@@ -293,10 +295,10 @@ class TrackResult:
 
 def stored_poses(rows: pa.Table, nodes: int) -> Poses:
     """Return the poses in rows of `chain_poses` of one take, sorted by frame."""
-    places = np.array(rows.column("place").to_pylist(), np.float64).reshape(-1, 3)
+    positions = np.array(rows.column("place").to_pylist(), np.float64).reshape(-1, 3)
     vectors = np.array(rows.column("turns").to_pylist(), np.float64).reshape(-1, 3)
-    turns = np.stack([rotation_of(one) for one in vectors]) if len(vectors) else np.zeros((0, 3, 3))
-    return Poses(places, turns.reshape(-1, nodes, 3, 3))
+    rotations = np.stack([rotation_of(one) for one in vectors]) if len(vectors) else np.zeros((0, 3, 3))
+    return Poses(positions, rotations.reshape(-1, nodes, 3, 3))
 
 
 def _table(kind: str, columns: dict[str, Any]) -> pa.Table:
@@ -311,7 +313,7 @@ def _lists(values: F64) -> pa.Array:
     return pa.ListArray.from_arrays(pa.array(offsets, pa.int32()), pa.array(flat.ravel()))
 
 
-def truth_reference(store: Store, truth: str, folder: Path, recording: str | None) -> Truth:
+def truth_reference(store: Store, truth: str, folder: Path, recording: str | None) -> TruePositions:
     """Return the truth of a recording.
 
     Parameters
@@ -348,7 +350,7 @@ def _failures(file: Path, recording: str | None) -> tuple[tuple[int, int], ...]:
         raise KinedexError(f"{file}: {expected}: {fault!r}") from None
 
 
-def compared(row: dict[str, Any], poses: pa.Table, reference: Truth) -> list[dict[str, Any]]:
+def track_errors(row: dict[str, Any], poses: pa.Table, reference: TruePositions) -> list[dict[str, Any]]:
     """Return error statistics of a track against a reference.
 
     Parameters
@@ -412,7 +414,7 @@ def poses_of(store: Store, stage: str, take_id: int) -> pa.Table:
     return found.take(pc.sort_indices(found, [("source_frame", "ascending")]))
 
 
-def judged_by_sensors(store: Store, stage: str, take_ids: Collection[int]) -> list[dict[str, Any]]:
+def sensor_error_figures(store: Store, stage: str, take_ids: Collection[int]) -> list[dict[str, Any]]:
     """Return error statistics of takes against sensors: for all limbs of a take together, then for each limb.
 
     Parameters

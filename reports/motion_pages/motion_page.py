@@ -13,7 +13,7 @@ from kinedex.ops.templates.nearest_clip import nearest_clips
 from kinedex.ops.wording import counted
 from kinedex.pipelines.engine.page_files import write_page
 from kinedex.pipelines.templates.stored_clips import NearestExample, words_of
-from kinedex.reports.motions import Motions, motions_json
+from kinedex.reports.embedded_motions import EmbeddedMotions, motions_json
 from kinedex.reports.page_environment import page_environment
 from kinedex.reports.palette import colour_rules, colour_slot
 from kinedex.storage.store.store import Store
@@ -176,7 +176,9 @@ def figures_of(store: Store, groups: Sequence[Group], examples: Examples | None 
         The variables of the template: the motions, the nearest examples and the colours of the groups.
     """
     clips = [clip for group in groups for clip in group.clips]
-    motions = Motions.none(store).with_pieces(store, [(clip.take, clip.start, clip.stop) for clip in clips], MARGIN)
+    motions = EmbeddedMotions.none(store).with_pieces(
+        store, [(clip.take, clip.start, clip.stop) for clip in clips], MARGIN
+    )
     near: dict[Clip, tuple[int, str]] = {}
     if examples is not None:
         found = _nearest(store, clips, examples)

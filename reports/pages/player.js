@@ -1,6 +1,6 @@
 // The player shows the motion of an interval as a stick figure, beside the nearest example where the page has one.
 //
-// Positions lie packed in #motions (reports/motions.py). An interval is an element with data-start and
+// Positions lie packed in #motions (reports/embedded_motions.py). An interval is an element with data-start and
 // data-stop, in analysis frames, inside of an element with data-take, or with all three; data-what is its title,
 // data-near its place in the list of nearest examples. Where that shows the same moments, data-near-start is the frame
 // that it begins at, and both are seen from the same side. A click plays it. A canvas with these attributes is a small

@@ -13,10 +13,10 @@ from kinedex.pipelines.engine.page_files import write_page
 from kinedex.pipelines.engine.stage import Input, Stage
 from kinedex.reports.annotation_data import read_report_data
 from kinedex.reports.annotation_page import annotation_page, hits_to_play, shown_takes
+from kinedex.reports.embedded_motions import embed
 from kinedex.reports.example_motions import with_hits
-from kinedex.reports.motions import embed
-from kinedex.reports.overview import SEGMENTS, csv_lines, in_order
 from kinedex.reports.page_environment import pages_digest
+from kinedex.reports.report_overview import SEGMENTS, csv_lines, in_order
 from kinedex.storage.store.store import Store
 
 
@@ -92,7 +92,7 @@ class Report(Stage[Params]):
         size = write_page(page, path)
         table = context.report_file(SEGMENTS)
         write_page("".join(csv_lines(data)), table)
-        context.say(f"report: {path.resolve()} ({size / 1e6:.1f} MB, motion of {counted(takes, 'take')})")
+        context.message(f"report: {path.resolve()} ({size / 1e6:.1f} MB, motion of {counted(takes, 'take')})")
         return {
             "files": [file.relative_to(context.store_path).as_posix() for file in (path, table)],
             "bytes": size,

@@ -8,8 +8,8 @@ from pydantic import BaseModel, ConfigDict, Field
 
 from kinedex.pipelines.engine.context import StageContext
 from kinedex.pipelines.engine.stage import Input
-from kinedex.pipelines.templates.learning import run_of
-from kinedex.reports.motion_pages.hits import best_hits
+from kinedex.pipelines.templates.template_learning import run_of
+from kinedex.reports.motion_pages.hits_page import best_hits
 from kinedex.reports.page_environment import PageStage
 from kinedex.reports.retrieval_page import retrieval_page
 

@@ -26,9 +26,9 @@ KEYS = ("take", "file", "path", "source", "filename", "name", "stem")
 ENDINGS = (".csv", ".tsv", ".txt", ".yaml", ".yml", ".json")
 """File endings of tables about takes."""
 
-MOST_ROWS = 500_000
-MOST_COLUMNS = 200
-MOST_LETTERS = 10_000
+MAX_ROWS = 500_000
+MAX_COLUMNS = 200
+MAX_LETTERS = 10_000
 """The largest number of rows and of columns of a table, and of characters in a cell."""
 
 _SIXTY_FOUR_BITS = 2**63
@@ -148,8 +148,8 @@ def _checked(path: str | Path, columns: Iterable[str], line: int | None) -> list
         if name.lower() in seen:
             raise SourceError(path, f"has two columns '{name}'; capital letters do not distinguish them", line=line)
         seen[name.lower()] = name
-    if len(seen) > MOST_COLUMNS:
-        raise SourceError(path, f"has {len(seen):,} columns; tables of metadata have at most {MOST_COLUMNS}", line=line)
+    if len(seen) > MAX_COLUMNS:
+        raise SourceError(path, f"has {len(seen):,} columns; tables of metadata have at most {MAX_COLUMNS}", line=line)
     return list(seen.values())
 
 
@@ -159,14 +159,14 @@ def _key_of(columns: list[str]) -> str:
 
 
 def _refuse_many(path: str | Path, count: int) -> None:
-    if count > MOST_ROWS:
-        raise SourceError(path, f"has more than {MOST_ROWS:,} rows; divide it, and give a list of tables")
+    if count > MAX_ROWS:
+        raise SourceError(path, f"has more than {MAX_ROWS:,} rows; divide it, and give a list of tables")
 
 
 def _refuse_long(path: str | Path, text: str, line: int | None, column: str) -> None:
-    if len(text) > MOST_LETTERS:
+    if len(text) > MAX_LETTERS:
         raise SourceError(
-            path, f"the cell of '{column}' has {len(text):,} characters; it can have {MOST_LETTERS:,}", line=line
+            path, f"the cell of '{column}' has {len(text):,} characters; it can have {MAX_LETTERS:,}", line=line
         )
 
 

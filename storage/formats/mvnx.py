@@ -22,13 +22,13 @@ from kinedex.storage.formats.source_files import source_errors
 
 F64 = npt.NDArray[np.float64]
 
-AT_ONCE = 1 << 20
+BLOCK_BYTES = 1 << 20
 """The number of bytes that are parsed at once."""
 
 LONGEST_TEXT = 1 << 20
 """The largest number of characters of an element; a frame of 23 segments has some two thousand in its longest."""
 
-MOST_PARTS = 1_000
+MAX_PARTS = 1_000
 """The largest number of segments, points, sensors or joints of a subject; MVN has 23 segments, some hundred points."""
 
 DEEPEST = 30
@@ -109,7 +109,7 @@ def count_elements(path: Path, name: str) -> int:
     tag = re.compile(rb"<(?:[A-Za-z_][\w.-]*:)?" + name.encode() + rb"[\s/>]")
     count, tail = 0, b""
     with source_errors(path), path.open("rb") as file:
-        while block := file.read(4 * AT_ONCE):
+        while block := file.read(4 * BLOCK_BYTES):
             text = tail + block
             cut = text.rfind(b"<")  # a tag split by the end of the block is counted with the next block
             tail = text[cut:] if 0 <= len(text) - cut < _LONGEST_TAG and cut >= 0 else b""
@@ -145,7 +145,7 @@ def read_mvnx(path: Path, wanted: Collection[str] = (), subject: str | None = No
     document = _Document(path, tuple(wanted), subject)
     empty = True
     with source_errors(path), path.open("rb") as file:
-        while block := file.read(AT_ONCE):
+        while block := file.read(BLOCK_BYTES):
             if empty and block.startswith((b"\xff\xfe", b"\xfe\xff")):
                 raise SourceError(path, "is encoded as UTF-16; MVN writes UTF-8")
             empty = empty and block.isspace()
@@ -234,8 +234,8 @@ class _Document:
             self.text, self.letters = [], 0
 
     def _begin_subject(self, given: Mapping[str, str]) -> None:
-        if len(self.subjects) == MOST_PARTS:
-            raise self._error(f"has more than {MOST_PARTS} subjects")
+        if len(self.subjects) == MAX_PARTS:
+            raise self._error(f"has more than {MAX_PARTS} subjects")
         rate = given.get("frameRate")
         try:
             rate_hz = None if rate is None else float(rate)
@@ -259,8 +259,8 @@ class _Document:
         label = given.get("label", "")
         if not label or label in labels:
             raise self._error(f"a {self.stack[-1]} must have a label of its own, got {label[:60]!r}")
-        if len(labels) == MOST_PARTS:
-            raise self._error(f"has more than {MOST_PARTS} elements {self.stack[-1]}")
+        if len(labels) == MAX_PARTS:
+            raise self._error(f"has more than {MAX_PARTS} elements {self.stack[-1]}")
         labels.append(label)
         return label
 
@@ -303,8 +303,8 @@ class _Document:
     def _place(self, name: str, text: str) -> None:
         words = text.split()
         points = self.subjects[-1].points[self.segment]
-        if len(words) != 3 or len(points) == MOST_PARTS:
-            raise self._error(f"<{name}> must have 3 numbers, got {len(words)}; {MOST_PARTS} points at most")
+        if len(words) != 3 or len(points) == MAX_PARTS:
+            raise self._error(f"<{name}> must have 3 numbers, got {len(words)}; {MAX_PARTS} points at most")
         x, y, z = self._numbers(name, words)
         points[self.point] = (x, y, z)
 

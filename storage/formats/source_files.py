@@ -11,9 +11,9 @@ from typing import Any
 
 from kinedex.ops.errors import ConfigError, SourceError
 
-MOST_BYTES = 64_000_000
+MAX_BYTES = 64_000_000
 """The largest size in bytes of a file that must fit into memory, such as labels and tables of users."""
-MOST_JSON_BYTES = 64 << 20
+MAX_JSON_BYTES = 64 << 20
 """The largest size of a JSON file in bytes."""
 
 
@@ -87,18 +87,18 @@ def read_bytes(path: str | Path, kind: str, way_out: str) -> bytes:
     Raises
     ------
     SourceError
-        The file cannot be read, or is larger than `MOST_BYTES`.
+        The file cannot be read, or is larger than `MAX_BYTES`.
     """
     with source_errors(path), Path(path).open("rb") as file:
         size = file.seek(0, io.SEEK_END) if file.seekable() else 0
-        if size <= MOST_BYTES:
+        if size <= MAX_BYTES:
             if size:
                 file.seek(0)
-            data = file.read(MOST_BYTES + 1)
+            data = file.read(MAX_BYTES + 1)
             size = len(data)
-    if size > MOST_BYTES:
-        got = f"has {size / 1e6:.1f} MB" if size != MOST_BYTES + 1 else "is larger"
-        raise SourceError(path, f"{got}; {kind} have at most {MOST_BYTES / 1e6:g} MB: {way_out}")
+    if size > MAX_BYTES:
+        got = f"has {size / 1e6:.1f} MB" if size != MAX_BYTES + 1 else "is larger"
+        raise SourceError(path, f"{got}; {kind} have at most {MAX_BYTES / 1e6:g} MB: {way_out}")
     return data
 
 
@@ -157,9 +157,9 @@ def load_json(path: Path) -> Any:
     SourceError
         The file is too large, too deeply nested, or not JSON.
     """
-    if file_size(path) > MOST_JSON_BYTES:
+    if file_size(path) > MAX_JSON_BYTES:
         raise SourceError(
-            path, f"has more than {MOST_JSON_BYTES >> 20} MB of JSON; write shorter takes, or a table (CSV, NPZ)"
+            path, f"has more than {MAX_JSON_BYTES >> 20} MB of JSON; write shorter takes, or a table (CSV, NPZ)"
         )
     with source_errors(path):
         data = path.read_bytes()

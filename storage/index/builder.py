@@ -19,9 +19,9 @@ import xxhash
 
 from kinedex.ops.errors import StoreError
 from kinedex.ops.search.bit_slices import slice_words
-from kinedex.storage import duck
-from kinedex.storage.disk import sync_file, sync_folder, write_errors, write_flushed
-from kinedex.storage.index import tables
+from kinedex.storage import duckdb_sql
+from kinedex.storage.durable_files import sync_file, sync_folder, write_errors, write_flushed
+from kinedex.storage.index import index_tables
 from kinedex.storage.index.generations import (
     BUILDING,
     FILE,
@@ -39,9 +39,9 @@ from kinedex.storage.index.generations import (
     read_generation,
     slices_name,
 )
+from kinedex.storage.index.index_views import views_digest as index_surface
 from kinedex.storage.index.shard_plan import SHARD_FRAMES, ShardPlan, plan_shards, shard_parts
 from kinedex.storage.index.slice_files import write_slices
-from kinedex.storage.index.surface import surface as index_surface
 from kinedex.storage.leases import open_versions
 from kinedex.storage.lock import NO_WAIT, Lock, Wait
 from kinedex.storage.snapshot.frames import read_words
@@ -49,7 +49,7 @@ from kinedex.storage.snapshot.manifest import Part, now
 from kinedex.storage.snapshot.manifest_files import content_digest_of
 from kinedex.storage.snapshot.snapshot import Snapshot
 
-MOST_WASTE = 2.0
+MAX_WASTE = 2.0
 """The ratio to the size of a new index file above which the file is rewritten."""
 
 SPARE_BYTES = 4_000_000
@@ -216,31 +216,32 @@ def _build(
     start = _copied(store, file)
     surface = index_surface(store.feature_set, store.rate_hz)
     work = plan_shards(store.manifest.frames, start.shards, shard_frames)
-    connection = duck.connect(threads, memory_mb)
+    connection = duckdb_sql.connect(threads, memory_mb)
     try:
         # both DuckDB 1.5 and 2.x read this storage version
         version = "" if start.generation else "(STORAGE_VERSION 'v1.5.0')"
-        connection.execute(f"ATTACH {duck.quote(str(file))} AS building {version}")
+        connection.execute(f"ATTACH {duckdb_sql.quote(str(file))} AS building {version}")
         connection.execute("USE building")
         connection.execute("BEGIN")
         if not start.generation:
-            tables.create(connection, store.feature_set)
+            index_tables.create(connection, store.feature_set)
         elif start.surface != surface:
-            tables.clear(connection)
+            index_tables.clear(connection)
         _delete(connection, store, work, start)
         _link(work.kept, start.generation, folder)
         frames = sum(part.rows - part.dropped_rows for parts in work.fresh for part in parts)
         with nullcontext() if progress is None else progress("frames", frames) as bar:
             fresh = _insert(connection, store, work, start, folder, threads, bar)
-        tables.describe(connection, store, anew=start.surface != surface)
-        rows = tables.count(connection)
-        valid = tables.valid_frames(connection)
+        index_tables.describe(connection, store, anew=start.surface != surface)
+        rows = index_tables.count(connection)
+        valid = index_tables.valid_frames(connection)
         connection.execute("COMMIT")
         connection.execute("USE memory")
         connection.execute("DETACH building")
-    except duck.Error as fault:
+    except duckdb_sql.Error as fault:
         raise StoreError(
-            f"{file}: the index cannot be built: {duck.first_line(fault)}; where space on disk or memory is short, "
+            f"{file}: the index cannot be built: {duckdb_sql.first_line(fault)}; where space on disk or memory is "
+            "short, "
             "make room (`kinedex gc` removes what only old versions need) or set `memory_mb` of the stage `index`"
         ) from None
     finally:
@@ -309,7 +310,7 @@ def _can_start(store: Snapshot, record: Generation) -> bool:
     return (
         bool(record.shards)
         and made_with == (INDEX_VERSION, store.feature_set.digest, store.rate_hz)
-        and record.bytes <= MOST_WASTE * record.whole_bytes_per_frame * record.frames + SPARE_BYTES
+        and record.bytes <= MAX_WASTE * record.whole_bytes_per_frame * record.frames + SPARE_BYTES
     )
 
 
@@ -326,12 +327,12 @@ def _copy(source: Path, target: Path) -> str:
     return digest.hexdigest()
 
 
-def _delete(connection: duck.Connection, store: Snapshot, work: ShardPlan, start: _Start) -> None:
+def _delete(connection: duckdb_sql.Connection, store: Snapshot, work: ShardPlan, start: _Start) -> None:
     """Delete the rows that are not in the next generation."""
     before = {shard.number: shard.take_ids for shard in (*start.shards, *start.lost)}
     removed = (*work.removed, *(shard.number for shard in start.lost))
     after = {shard.number: shard.take_ids for shard in work.kept}
-    tables.delete(
+    index_tables.delete(
         connection,
         store.feature_set,
         {number: before[number] for number in removed},
@@ -351,7 +352,7 @@ def _link(kept: Iterable[Shard], before: Path | None, folder: Path) -> None:
 
 
 def _insert(
-    connection: duck.Connection,
+    connection: duckdb_sql.Connection,
     store: Snapshot,
     work: ShardPlan,
     start: _Start,
@@ -362,12 +363,12 @@ def _insert(
     """Make the new shards, several at a time, and store them in order; write bit slices to files beside the index."""
     features = len(store.feature_set.features)
 
-    def make(item: tuple[int, tuple[Part, ...]]) -> tuple[Shard, tables.ShardRows]:
+    def make(item: tuple[int, tuple[Part, ...]]) -> tuple[Shard, index_tables.ShardRows]:
         number, parts = item
         words = store.with_known(read_words(store.checked, replace(store.manifest, frames=parts), None))
         slices = slice_words(words.words, words.offsets, features)
         written = write_slices(folder / slices_name(number), words.take_ids, slices)
-        rows = tables.make_shard(words, store.feature_set)
+        rows = index_tables.make_shard(words, store.feature_set)
         return Shard(number, shard_parts(parts), rows.frames, rows.frames, *written), rows
 
     before = max((shard.number for shard in (*start.shards, *start.lost)), default=0)
@@ -379,7 +380,7 @@ def _insert(
             # a single transaction would hold more memory: 1.6 GB instead of 0.7 at 400 hours
             connection.execute("COMMIT")
             connection.execute("BEGIN")
-        tables.insert(connection, shard.number, rows)
+        index_tables.insert(connection, shard.number, rows)
         fresh.append(shard)
         if bar is not None:
             bar.advance(sum(part.rows - part.dropped_rows for part in parts))

@@ -12,7 +12,7 @@ from itertools import chain
 from pathlib import Path
 
 from kinedex.ops.errors import StoreError
-from kinedex.storage.disk import xxh3_of
+from kinedex.storage.durable_files import xxh3_of
 from kinedex.storage.remedies import build_index, upgrade
 from kinedex.storage.snapshot.manifest import Manifest
 from kinedex.storage.snapshot.manifest_files import content_digest_of, json_checksum, read_version, versions
@@ -101,7 +101,7 @@ class Generation:
     rate_hz : float
         Analysis frames per second.
     surface : str
-        `storage.index.surface.surface` of its views and macros.
+        `storage.index.index_views.views_digest` of its views and macros.
     shards : tuple of Shard
         The shards that hold its rows.
     rows : dict of str to int

@@ -10,11 +10,11 @@ import pyarrow as pa
 
 from kinedex.catalog.features import FeatureSet
 from kinedex.ops.search.bit_slices import slice_words
-from kinedex.storage import duck
-from kinedex.storage.index import tables
+from kinedex.storage import duckdb_sql
+from kinedex.storage.index import index_tables
 from kinedex.storage.index.generations import FILE, Generation, Shard, slices_name
+from kinedex.storage.index.index_views import lists_table
 from kinedex.storage.index.slice_files import ShardSlices, open_slices
-from kinedex.storage.index.surface import lists_table
 from kinedex.storage.snapshot.snapshot import Snapshot
 
 
@@ -74,46 +74,46 @@ def _tables(store: Snapshot, generation: Path, record: Generation) -> Iterator[s
     held = sorted(take for shard in record.shards for take in shard.take_ids)
     if held != list(store.manifest.live_takes):
         yield "its shards do not hold every live take once"
-    with duck.connect() as connection:
-        connection.execute(f"ATTACH {duck.quote(str((generation / FILE).absolute()))} AS idx (READ_ONLY)")
+    with duckdb_sql.connect() as connection:
+        connection.execute(f"ATTACH {duckdb_sql.quote(str((generation / FILE).absolute()))} AS idx (READ_ONLY)")
         connection.execute("USE idx")
-        for view, count in tables.count(connection).items():
+        for view, count in index_tables.count(connection).items():
             if count != record.rows.get(view):
                 yield f"{view} has {count} rows, not {record.rows.get(view)}"
         yield from _frames(connection, store.feature_set, record)
         yield from _shards(connection, store.feature_set, record)
 
 
-def _frames(connection: duck.Connection, feature_set: FeatureSet, record: Generation) -> Iterator[str]:
-    total = duck.rows(connection, "SELECT coalesce(sum(frames), 0)::BIGINT FROM takes").column(0)[0].as_py()
+def _frames(connection: duckdb_sql.Connection, feature_set: FeatureSet, record: Generation) -> Iterator[str]:
+    total = duckdb_sql.rows(connection, "SELECT coalesce(sum(frames), 0)::BIGINT FROM takes").column(0)[0].as_py()
     if total != record.frames:
         yield f"its shards have {record.frames} frames, the takes have {total}"
     if record.valid_frames > record.frames:
         yield f"{record.valid_frames} of {record.frames} frames have a word"
-    if (valid := tables.valid_frames(connection)) != record.valid_frames:
+    if (valid := index_tables.valid_frames(connection)) != record.valid_frames:
         yield f"its valid runs fill {valid} frames, {record.valid_frames} have a word"
     for name, home in feature_set.sets.items():
         query = "SELECT coalesce(sum(frames), 0)::BIGINT FROM vocabulary WHERE feature_set = ?"
-        frames = duck.rows(connection, query, [name]).column(0)[0].as_py()
-        expected = tables.valid_frames_of(connection, home)
+        frames = duckdb_sql.rows(connection, query, [name]).column(0)[0].as_py()
+        expected = index_tables.valid_frames_of(connection, home)
         if frames != expected:
             yield f"the words of {name} fill {frames} frames, {expected} have a word"
 
 
-def _shards(connection: duck.Connection, feature_set: FeatureSet, record: Generation) -> Iterator[str]:
+def _shards(connection: duckdb_sql.Connection, feature_set: FeatureSet, record: Generation) -> Iterator[str]:
     numbers = {shard.number for shard in record.shards}
     homes = [(take, shard.number) for shard in record.shards for take in shard.take_ids]
     columns = np.array(homes, np.int64).reshape(-1, 2).T
     connection.register("homes", pa.table({"take_id": columns[0], "shard": columns[1]}))
     for name in sorted(feature_set.sets):
-        counted = duck.rows(
+        counted = duckdb_sql.rows(
             connection,
             f"""SELECT coalesce(r.shard, v.shard) AS shard, r.runs IS NOT DISTINCT FROM v.runs
                 AND r.frames IS NOT DISTINCT FROM v.frames AS same
             FROM (SELECT homes.shard, count(*) AS runs, sum(frames) AS frames FROM {lists_table(name)} AS runs
                 LEFT JOIN homes ON homes.take_id = runs.take_id GROUP BY 1) AS r
             FULL JOIN (SELECT shard, sum(runs) AS runs, sum(frames) AS frames FROM stored_vocabulary
-                WHERE feature_set = {duck.quote(name)} GROUP BY 1) AS v ON r.shard = v.shard ORDER BY 1""",
+                WHERE feature_set = {duckdb_sql.quote(name)} GROUP BY 1) AS v ON r.shard = v.shard ORDER BY 1""",
         )
         for shard, same in zip(*(column.to_pylist() for column in counted.columns), strict=True):
             if shard is None:

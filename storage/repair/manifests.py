@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from kinedex.ops.errors import StoreError
-from kinedex.storage.disk import names_in, sync_folder
+from kinedex.storage.durable_files import names_in, sync_folder
 from kinedex.storage.repair.quarantine import KeptFile, Quarantine
 from kinedex.storage.snapshot.manifest import Manifest
 from kinedex.storage.snapshot.manifest_files import (

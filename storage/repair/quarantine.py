@@ -9,7 +9,7 @@ from dataclasses import asdict, dataclass, field
 from datetime import UTC, datetime
 from pathlib import Path
 
-from kinedex.storage.disk import TEMPORARY, names_in, sync_folder, write_errors, write_flushed
+from kinedex.storage.durable_files import TEMPORARY, names_in, sync_folder, write_errors, write_flushed
 
 FOLDER = "quarantine"
 JOURNAL = "journal"

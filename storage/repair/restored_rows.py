@@ -20,7 +20,7 @@ import pyarrow.compute as pc
 import pyarrow.parquet as pq
 
 from kinedex.ops.errors import StoreError
-from kinedex.storage import duck
+from kinedex.storage import duckdb_sql
 from kinedex.storage.index.generations import FILE, current_generation, file_digest, read_generation
 from kinedex.storage.snapshot.label_journal import Journal, journal_rows, read_journals
 from kinedex.storage.snapshot.manifest import LabelPart, Manifest, Part, changed_content
@@ -215,10 +215,10 @@ def _of_index(store: Snapshot) -> Iterator[pa.Table]:
     if generation is None or record is None or file_digest(generation / FILE) != record.xxh3:
         return
     try:
-        with duck.connect() as connection:
-            connection.execute(f"ATTACH {duck.quote(str((generation / FILE).absolute()))} AS idx (READ_ONLY)")
-            yield with_columns(duck.rows(connection, "SELECT * FROM idx.takes"), store.manifest.takes_schema)
-    except (duck.Error, pa.ArrowException):
+        with duckdb_sql.connect() as connection:
+            connection.execute(f"ATTACH {duckdb_sql.quote(str((generation / FILE).absolute()))} AS idx (READ_ONLY)")
+            yield with_columns(duckdb_sql.rows(connection, "SELECT * FROM idx.takes"), store.manifest.takes_schema)
+    except (duckdb_sql.Error, pa.ArrowException):
         return
 
 

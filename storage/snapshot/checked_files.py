@@ -11,7 +11,7 @@ from pathlib import Path
 from threading import Lock
 
 from kinedex.ops.errors import StoreError
-from kinedex.storage.disk import xxh3_of
+from kinedex.storage.durable_files import xxh3_of
 from kinedex.storage.remedies import repair
 from kinedex.storage.snapshot.manifest import AnyPart
 from kinedex.storage.snapshot.parts import part_file, read_errors

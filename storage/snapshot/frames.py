@@ -23,8 +23,8 @@ I64 = npt.NDArray[np.int64]
 FOOTERS = 64
 """The number of footers that are cached; that of a full part takes some 200 KB and a millisecond to read."""
 
-_MOST = np.iinfo(np.int64).max
-_ANY = (np.iinfo(np.int64).min, _MOST)
+_MAX_INT64 = np.iinfo(np.int64).max
+_ANY = (np.iinfo(np.int64).min, _MAX_INT64)
 
 
 @dataclass(frozen=True)
@@ -56,7 +56,7 @@ class Footer:
             return []
         found = np.array(self.groups_between(take_id, take_id), np.int64)
         alone = (self.takes[found] == take_id).all(axis=1)
-        first, last = np.where(alone, self.frames[found].T, [[0], [_MOST]])
+        first, last = np.where(alone, self.frames[found].T, [[0], [_MAX_INT64]])
         # in a group of several takes, the range of frames may be another take's; neighbouring groups of this take alone
         # bound it
         first[1:] = np.where(alone[1:] | ~alone[:-1], first[1:], last[:-1] + 1)

@@ -23,7 +23,7 @@ import pyarrow as pa
 import xxhash
 
 from kinedex.ops.errors import StoreError
-from kinedex.storage.disk import sync_folder, write_errors
+from kinedex.storage.durable_files import sync_folder, write_errors
 from kinedex.storage.remedies import repair
 from kinedex.storage.snapshot.schemas import labels_schema
 

@@ -20,7 +20,7 @@ import pyarrow as pa
 from kinedex.catalog.features import FeatureSet
 from kinedex.storage.snapshot.schemas import TakeColumn, takes_schema
 
-MOST_TAKES = 100_000_000
+MAX_TAKES = 100_000_000
 """The largest number of takes in a part, so that a wrong manifest cannot fill the memory."""
 
 
@@ -40,8 +40,8 @@ def _from_ranges(value: object) -> tuple[int, ...]:
         isinstance(pair, list) and len(pair) == 2 and all(type(end) is int for end in pair) for pair in value
     ):
         raise ValueError("must be a list of ranges [first, last + 1] of take ids")
-    if sum(max(0, stop - start) for start, stop in value) > MOST_TAKES:
-        raise ValueError(f"must be at most {MOST_TAKES} takes")
+    if sum(max(0, stop - start) for start, stop in value) > MAX_TAKES:
+        raise ValueError(f"must be at most {MAX_TAKES} takes")
     return tuple(chain.from_iterable(range(start, stop) for start, stop in value))
 
 

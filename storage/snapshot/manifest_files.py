@@ -15,7 +15,7 @@ from typing import Any
 
 from kinedex.catalog.features import FeatureSet
 from kinedex.ops.errors import StoreError
-from kinedex.storage.disk import TEMPORARY, names_in, sync_folder, write_errors, write_flushed
+from kinedex.storage.durable_files import TEMPORARY, names_in, sync_folder, write_errors, write_flushed
 from kinedex.storage.remedies import repair, upgrade
 from kinedex.storage.snapshot.manifest import Manifest
 from kinedex.storage.snapshot.plain_records import record_of

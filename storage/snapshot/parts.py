@@ -19,7 +19,7 @@ import pyarrow.parquet as pq
 from kinedex.catalog.features import FeatureSet
 from kinedex.ops.errors import ParameterError, StoreError
 from kinedex.ops.words import NO_WORD
-from kinedex.storage.disk import TEMPORARY, sync_file, sync_folder, write_errors
+from kinedex.storage.durable_files import TEMPORARY, sync_file, sync_folder, write_errors
 from kinedex.storage.remedies import repair
 from kinedex.storage.snapshot.manifest import Part
 from kinedex.storage.snapshot.schemas import frames_schema

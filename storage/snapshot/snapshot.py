@@ -18,11 +18,11 @@ from kinedex.ops.errors import ParameterError, StoreError, did_you_mean
 from kinedex.ops.words import ALL_KNOWN, TakeWords
 from kinedex.storage.snapshot.checked_files import CheckedFiles
 from kinedex.storage.snapshot.frames import read_frames, read_takes, read_words
-from kinedex.storage.snapshot.labels import current_labels
 from kinedex.storage.snapshot.manifest import Manifest, ResultPart
 from kinedex.storage.snapshot.parts import read_errors
 from kinedex.storage.snapshot.schemas import labels_schema, result_schema, sorted_by, with_columns
-from kinedex.storage.snapshot.shown_results import all_parts, origin_of, pipeline_of, shown_parts
+from kinedex.storage.snapshot.stored_labels import current_labels
+from kinedex.storage.snapshot.visible_results import all_parts, origin_of, pipeline_of, shown_parts
 
 _FEW_ROWS = 20_000
 """The largest number of rows of a part that is read by one thread, which is then faster than several."""

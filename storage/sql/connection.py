@@ -10,7 +10,7 @@ from pathlib import Path
 
 from kinedex.catalog.sql.views import MACROS, VIEWS, Macro, View
 from kinedex.ops.errors import KinedexError, StoreError, did_you_mean
-from kinedex.storage import duck
+from kinedex.storage import duckdb_sql
 from kinedex.storage.index.generations import (
     FILE,
     Generation,
@@ -19,14 +19,14 @@ from kinedex.storage.index.generations import (
     missing_index,
     read_generation,
 )
-from kinedex.storage.index.surface import features_table, help_table, surface
+from kinedex.storage.index.index_views import features_table, help_table, views_digest
 from kinedex.storage.interruption import is_abandoned
 from kinedex.storage.remedies import build_index, repair
 from kinedex.storage.snapshot.parts import part_file
 from kinedex.storage.snapshot.schemas import RESULT_KINDS, frames_schema
-from kinedex.storage.snapshot.shown_results import pipeline_runs
 from kinedex.storage.snapshot.snapshot import Snapshot
-from kinedex.storage.sql.queries import Answer, Unreadable, bounded_query, explained
+from kinedex.storage.snapshot.visible_results import pipeline_runs
+from kinedex.storage.sql.queries import QueryResult, Unreadable, bounded_query, explained
 from kinedex.storage.sql.read_only import UnknownName
 from kinedex.storage.sql.read_parts import check_parts
 from kinedex.storage.sql.result_scans import ALL_VIEWS, result_select, shown_labels
@@ -45,7 +45,7 @@ INDEXED = frozenset(
 """Names of the views that exist only with an index."""
 
 
-def connect(store: Snapshot, threads: int | None = None, memory_mb: int | None = None) -> duck.Connection:
+def connect(store: Snapshot, threads: int | None = None, memory_mb: int | None = None) -> duckdb_sql.Connection:
     """Open a connection with all views and macros of a store, after a check of all of its parts.
 
     The index is attached read-only. Frames and results are read from the parts of this version. If the index is missing
@@ -67,7 +67,7 @@ def connect(store: Snapshot, threads: int | None = None, memory_mb: int | None =
         The index or a part cannot be read; the message names the file and the remedy.
     """
     store.checked.parts(store.manifest.parts)
-    connection = duck.connect(threads, memory_mb)
+    connection = duckdb_sql.connect(threads, memory_mb)
     try:
         index = _attach_index(connection, store)
         # a query over a view of a missing index fails with the reason
@@ -98,11 +98,11 @@ class Connections:
     def __init__(self, store: Snapshot, files: Sequence[Path] = ()) -> None:
         self._store = store
         self._lock = threading.Lock()
-        self._first = duck.connect()
+        self._first = duckdb_sql.connect()
         try:
             self._index = _attach_index(self._first, store)
             first = Definitions(self._first, store, self._index)
-            duck.allow_only(self._first, [store.path, *files])
+            duckdb_sql.allow_only(self._first, [store.path, *files])
             # settings that write files (logs, profiles) fail from now on
             self._first.execute("SET lock_configuration = true")
         except BaseException:
@@ -174,7 +174,7 @@ class Definitions:
     """
 
     def __init__(
-        self, connection: duck.Connection, store: Snapshot, index: Generation | None, *, complete: bool = False
+        self, connection: duckdb_sql.Connection, store: Snapshot, index: Generation | None, *, complete: bool = False
     ) -> None:
         self.connection = connection
         self._store, self._index, self._complete = store, index, complete
@@ -201,13 +201,15 @@ class Definitions:
         """Create views over the files of the store, its labels and its records."""
         connection, store = self.connection, self._store
         if "features" in wanted and self._index is None:
-            _view(connection, "features", duck.literal_rows(features_table(store.feature_set)))
+            _view(connection, "features", duckdb_sql.literal_rows(features_table(store.feature_set)))
         if "help" in wanted:
-            _view(connection, "help", duck.literal_rows(help_table()))
+            _view(connection, "help", duckdb_sql.literal_rows(help_table()))
         if "frames" in wanted:
             # DuckDB reads the columns of one part per view, but no rows
             frames = [(part_file(store.path, part.path), part.dropped) for part in store.manifest.frames]
-            _view(connection, "frames", duck.parquet_rows(frames_schema(store.feature_set, store.rate_hz), frames))
+            _view(
+                connection, "frames", duckdb_sql.parquet_rows(frames_schema(store.feature_set, store.rate_hz), frames)
+            )
         for kind in (*RESULT_KINDS, *sorted(ALL_VIEWS)):
             if kind in wanted:
                 _view(connection, kind, result_select(store, kind))
@@ -219,7 +221,7 @@ class Definitions:
     def _is_made_here(self, macro: Macro) -> bool:
         """Return whether a macro is defined here rather than in the index, whose macros may be outdated."""
         index, store = self._index, self._store
-        own = index is not None and index.surface == surface(store.feature_set, store.rate_hz)
+        own = index is not None and index.surface == views_digest(store.feature_set, store.rate_hz)
         if own and macro.needs == "index":
             return False
         return index is not None or self._complete or not _reads_index(macro)
@@ -229,16 +231,16 @@ class Definitions:
         """Report a damaged file if views cannot be created."""
         try:
             yield
-        except (duck.Error, UnicodeDecodeError) as fault:
+        except (duckdb_sql.Error, UnicodeDecodeError) as fault:
             # a damaged column name may not be UTF-8, which would hide the message
             self._store.checked.parts(self._store.manifest.parts)
-            reason = duck.first_line(fault) if isinstance(fault, duck.Error) else str(fault)
+            reason = duckdb_sql.first_line(fault) if isinstance(fault, duckdb_sql.Error) else str(fault)
             if (outside := explained(reason)) != reason:
                 raise KinedexError(outside) from None
             raise StoreError(f"{self._store.path}: SQL over this store does not work: {reason}") from None
 
 
-def _define_labels(connection: duck.Connection, store: Snapshot) -> None:
+def _define_labels(connection: duckdb_sql.Connection, store: Snapshot) -> None:
     """Create the table of labels; if they are damaged, define it so that a query over it fails with the reason."""
     try:
         connection.register("label_history", shown_labels(store))
@@ -247,26 +249,26 @@ def _define_labels(connection: duck.Connection, store: Snapshot) -> None:
         _define_view_that_fails(connection, view, str(fault))
 
 
-def _define_view_that_fails(connection: duck.Connection, view: View, reason: str) -> None:
-    failing = f"error({duck.quote(reason)})"
+def _define_view_that_fails(connection: duckdb_sql.Connection, view: View, reason: str) -> None:
+    failing = f"error({duckdb_sql.quote(reason)})"
     # the columns must fail as well: DuckDB would skip a view whose condition on NULL columns can never hold
-    typed = ((column.type, duck.identifier(column.name)) for column in view.columns)
+    typed = ((column.type, duckdb_sql.identifier(column.name)) for column in view.columns)
     columns = ", ".join(f"{failing}::{kind} AS {name}" for kind, name in typed)
     _view(connection, view.name, f"SELECT {columns} WHERE {failing} IS NULL")
 
 
-def _attach_index(connection: duck.Connection, store: Snapshot) -> Generation | None:
+def _attach_index(connection: duckdb_sql.Connection, store: Snapshot) -> Generation | None:
     """Attach the index of these takes read-only and return its record; None if there is no index."""
     while (generation := current_generation(store.path, store.manifest)) is not None:
         file, record = (generation / FILE).absolute(), read_generation(generation)
         try:
-            connection.execute(f"ATTACH {duck.quote(str(file))} AS idx (READ_ONLY)")
+            connection.execute(f"ATTACH {duckdb_sql.quote(str(file))} AS idx (READ_ONLY)")
             connection.execute("USE idx")
-        except duck.Error as fault:
+        except duckdb_sql.Error as fault:
             if not file.is_file():
                 # a build has published a newer generation, or somebody has removed the index
                 continue
-            reason = f"{file}: the index cannot be read: {duck.first_line(fault)}"
+            reason = f"{file}: the index cannot be read: {duckdb_sql.first_line(fault)}"
             raise StoreError(reason, remedy=build_index(store.path)) from None
         if record is not None:
             return record
@@ -279,12 +281,12 @@ def run_query(
     store: Snapshot,
     lent: Definitions,
     text: str,
-    parameters: duck.Parameters,
+    parameters: duckdb_sql.Parameters,
     *,
     files: bool = False,
     timeout: float | None = None,
     max_rows: int | None = None,
-) -> Answer:
+) -> QueryResult:
     """Run one read-only query on a connection of `Connections`.
 
     Parameters
@@ -349,5 +351,5 @@ def _reads_index(macro: Macro) -> bool:
     return any(re.search(rf"\b{view}\b", macro.body) for view in INDEXED)
 
 
-def _view(connection: duck.Connection, name: str, query: str) -> None:
+def _view(connection: duckdb_sql.Connection, name: str, query: str) -> None:
     connection.execute(f"CREATE TEMP VIEW {name} AS {query}")

@@ -11,9 +11,9 @@ import duckdb
 import pyarrow as pa
 
 from kinedex.ops.errors import KinedexError, ParameterError
-from kinedex.storage.duck import Connection, Parameters, message
+from kinedex.storage.duckdb_sql import Connection, Parameters, message
 from kinedex.storage.interruption import run_bounded
-from kinedex.storage.sql.read_only import UnknownName, checked
+from kinedex.storage.sql.read_only import UnknownName, checked_statement
 
 COUNTED = 1_000_000
 """The number of rows after which rows beyond a limit are no longer counted."""
@@ -29,7 +29,7 @@ class Unreadable(KinedexError):
 
 
 @dataclass(frozen=True)
-class Answer:
+class QueryResult:
     """The rows of a query, or the first of them.
 
     Attributes
@@ -49,18 +49,18 @@ class Answer:
 
 def _answer(
     connection: Connection, text: str, parameters: Parameters, macros: Iterable[str], files: bool, max_rows: int | None
-) -> Answer:
+) -> QueryResult:
     """Run one read-only query on the calling thread, and return its result as `bounded_query` does."""
     try:
         relation: duckdb.DuckDBPyRelation | None = connection.sql(
-            checked(connection, text, macros, files=files), params=parameters
+            checked_statement(connection, text, macros, files=files), params=parameters
         )
         if relation is None:
-            return Answer(pa.table({}), 0)
+            return QueryResult(pa.table({}), 0)
         if max_rows is not None:
             return _first_rows(relation, max_rows)
         table = relation.to_arrow_table()
-        return Answer(table, table.num_rows)
+        return QueryResult(table, table.num_rows)
     except duckdb.Error as fault:
         if _DAMAGE.match(str(fault)):
             raise Unreadable(message(fault)) from None
@@ -80,7 +80,7 @@ def explained(text: str) -> str:
     return text
 
 
-def _first_rows(relation: duckdb.DuckDBPyRelation, max_rows: int) -> Answer:
+def _first_rows(relation: duckdb.DuckDBPyRelation, max_rows: int) -> QueryResult:
     """Return the first rows, and count the others batch by batch."""
     reader = relation.to_arrow_reader(_BATCH)
     batches, rows = [], 0
@@ -90,14 +90,14 @@ def _first_rows(relation: duckdb.DuckDBPyRelation, max_rows: int) -> Answer:
                 batches.append(batch.slice(0, max_rows - rows))
             rows += batch.num_rows
             if rows > max(max_rows, COUNTED):
-                return Answer(pa.Table.from_batches(batches, reader.schema), rows, counted=False)
+                return QueryResult(pa.Table.from_batches(batches, reader.schema), rows, counted=False)
     except OSError as fault:  # Arrow's reader raises DuckDB's errors as OSError
         text = message(duckdb.Error(str(fault)))
         raise (Unreadable(text) if _DAMAGE.match(str(fault)) else KinedexError(explained(text))) from None
     finally:
         # a connection with an open result cannot run another statement
         reader.close()
-    return Answer(pa.Table.from_batches(batches, reader.schema), rows)
+    return QueryResult(pa.Table.from_batches(batches, reader.schema), rows)
 
 
 def bounded_query(
@@ -109,7 +109,7 @@ def bounded_query(
     files: bool = False,
     timeout: float | None = None,
     max_rows: int | None = None,
-) -> Answer:
+) -> QueryResult:
     """Run one read-only query and return its result; Ctrl-C and a time limit end it.
 
     Parameters

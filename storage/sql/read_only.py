@@ -176,7 +176,7 @@ class UnknownName(KinedexError):
         self.name = name
 
 
-def checked(
+def checked_statement(
     connection: duckdb.DuckDBPyConnection, text: str, macros: Iterable[str] = (), *, files: bool = False
 ) -> str:
     """Return the statement to run, or raise an error unless the text only reads.
@@ -248,12 +248,12 @@ class Names(NamedTuple):
 
 
 def names_in(connection: duckdb.DuckDBPyConnection, text: str) -> Names:
-    """Return the names in a statement that `checked` allows.
+    """Return the names in a statement that `checked_statement` allows.
 
     Raises
     ------
     KinedexError
-        The statement has no tree, so that `checked` refuses it as well.
+        The statement has no tree, so that `checked_statement` refuses it as well.
     """
     if explained := _match(_EXPLAIN, text):
         return names_in(connection, explained["query"])
@@ -355,7 +355,7 @@ def _explained(connection: duckdb.DuckDBPyConnection, text: str, macros: Iterabl
     parts = _match(_EXPLAIN, text)
     if parts is None:
         raise _refused("an EXPLAIN of another form")
-    query = checked(connection, parts["query"], macros, files=files)
+    query = checked_statement(connection, parts["query"], macros, files=files)
     if re.match(rf"{_GAP}*(EXPLAIN|PRAGMA)\b", query, re.IGNORECASE):
         raise _refused("an EXPLAIN of something that is no query")
     options = (parts["options"] or "").lower()

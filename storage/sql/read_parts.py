@@ -10,7 +10,7 @@ from collections.abc import Iterable, Iterator
 
 from kinedex.catalog.sql.views import MACROS, VIEWS
 from kinedex.ops.errors import KinedexError
-from kinedex.storage import duck
+from kinedex.storage import duckdb_sql
 from kinedex.storage.snapshot.manifest import Part, ResultPart
 from kinedex.storage.snapshot.schemas import RESULT_KINDS
 from kinedex.storage.snapshot.snapshot import Snapshot
@@ -29,7 +29,7 @@ _read_by: dict[str, frozenset[str]] = {}
 """A dict from view or macro to the names in its body, for those needed so far."""
 
 
-def check_parts(store: Snapshot, connection: duck.Connection, text: str) -> frozenset[str]:
+def check_parts(store: Snapshot, connection: duckdb_sql.Connection, text: str) -> frozenset[str]:
     """Check the parts that a statement reads, unless they were checked before, and return the names that it reads.
 
     Parameters
@@ -39,7 +39,7 @@ def check_parts(store: Snapshot, connection: duck.Connection, text: str) -> froz
     connection : Connection
         The connection whose parser is used; the text is not executed.
     text : str
-        A statement that `storage.sql.read_only.checked` allows; any other is ignored here.
+        A statement that `storage.sql.read_only.checked_statement` allows; any other is ignored here.
 
     Returns
     -------
@@ -75,7 +75,7 @@ def parts_of(store: Snapshot, view: str) -> tuple[Part | ResultPart, ...]:
     return {"frames": manifest.frames, "takes": manifest.takes}.get(view, ())
 
 
-def _reached(connection: duck.Connection, names: Iterable[str]) -> Iterator[str]:
+def _reached(connection: duckdb_sql.Connection, names: Iterable[str]) -> Iterator[str]:
     """Yield names and, for views and macros among them, the names that their bodies read."""
     waiting, seen = list(names), set()
     while waiting:

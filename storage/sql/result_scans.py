@@ -11,13 +11,13 @@ from kinedex.catalog.sql.columns import ORIGIN
 from kinedex.catalog.sql.result_views import ALL
 from kinedex.catalog.sql.views import VIEWS
 from kinedex.ops.intervals import in_seconds
-from kinedex.storage import duck
-from kinedex.storage.snapshot.labels import current_labels
+from kinedex.storage import duckdb_sql
 from kinedex.storage.snapshot.manifest import ResultPart
 from kinedex.storage.snapshot.parts import column_count, part_file
 from kinedex.storage.snapshot.schemas import RESULT_KINDS, result_schema
-from kinedex.storage.snapshot.shown_results import origin_of, shown_parts
 from kinedex.storage.snapshot.snapshot import Snapshot
+from kinedex.storage.snapshot.stored_labels import current_labels
+from kinedex.storage.snapshot.visible_results import origin_of, shown_parts
 
 ALL_VIEWS = {f"{ALL}{kind}": kind for kind in RESULT_KINDS}
 """A dict from view that shows the rows of every pipeline to its kind of results."""
@@ -33,18 +33,18 @@ def result_parts(store: Snapshot, view: str) -> tuple[ResultPart, ...]:
 def result_select(store: Snapshot, view: str) -> str:
     """Return the SELECT of a view of results."""
     kind = ALL_VIEWS.get(view, view)
-    return duck.result_rows(result_schema(kind), ORIGIN, _scans(store, kind, result_parts(store, view)))
+    return duckdb_sql.result_rows(result_schema(kind), ORIGIN, _scans(store, kind, result_parts(store, view)))
 
 
-def _scans(store: Snapshot, kind: str, parts: Iterable[ResultPart]) -> list[duck.ResultScan]:
+def _scans(store: Snapshot, kind: str, parts: Iterable[ResultPart]) -> list[duckdb_sql.ResultScan]:
     """Return one scan for the parts of each combination of origin and number of columns."""
-    found: dict[tuple[object, ...], duck.ResultScan] = {}
+    found: dict[tuple[object, ...], duckdb_sql.ResultScan] = {}
     for part in parts:
         file = part_file(store.path, part.path)
         width, origin = part.columns or column_count(file), origin_of(store.manifest, kind, part)
         key = (width, *origin.values())
         others = found[key].files if key in found else ()
-        found[key] = duck.ResultScan((*others, file), width, origin)
+        found[key] = duckdb_sql.ResultScan((*others, file), width, origin)
     return list(found.values())
 
 

@@ -42,7 +42,7 @@ TARGET_BYTES = 100_000_000
 FANOUT = 8
 """The number of parts of one tier that are merged, and the ratio of the tiers' sizes."""
 
-LEAST_ROWS = 131_072
+MIN_ROWS = 131_072
 """The smallest number of rows of the parts into which a merge is divided among workers: about 27 MB on disk."""
 
 KEPT_ROWS = 262_144
@@ -108,7 +108,8 @@ def compact(
     A damaged part of frames is left unchanged, so that it does not get a new checksum; the others are merged.
 
     The takes, their ids and the index stay valid. The old files are kept for readers of older versions until
-    `storage.store.garbage_collection.collect`. If the process is killed before the commit, the store is unchanged.
+    `storage.store.garbage_collection.collect_garbage`. If the process is killed before the commit, the store is
+    unchanged.
 
     Parameters
     ----------
@@ -132,7 +133,7 @@ def compact(
     new_frames = list(spread(merge, [task for group in merges for task in group]))
     if groups:
         writer.swap_parts("frames", [part for group in groups for part in group], new_frames)
-    old_takes = [part for group in worthwhile(store.manifest.takes) for part in group]
+    old_takes = [part for group in merge_groups(store.manifest.takes) for part in group]
     new_takes = [_merge_takes(store, old_takes)] if old_takes else []
     if old_takes:
         writer.swap_parts("takes", old_takes, new_takes)
@@ -151,7 +152,7 @@ def _sound_groups(store: Snapshot, target_bytes: int) -> tuple[list[list[Part]],
     left = list(store.manifest.frames)
     damaged: list[StoreError] = []
     while True:
-        groups = worthwhile(left, target_bytes)
+        groups = merge_groups(left, target_bytes)
         before = len(damaged)
         for part in (part for group in groups for part in group):
             try:
@@ -163,7 +164,7 @@ def _sound_groups(store: Snapshot, target_bytes: int) -> tuple[list[list[Part]],
             return groups, tuple(damaged)
 
 
-def worthwhile(parts: Iterable[AnyPart], full_bytes: float = float("inf")) -> list[list[AnyPart]]:
+def merge_groups(parts: Iterable[AnyPart], full_bytes: float = float("inf")) -> list[list[AnyPart]]:
     """Return groups of parts to merge: `FANOUT` or more of one tier, and single parts that are mostly tombstones.
 
     Parameters
@@ -190,7 +191,7 @@ def worthwhile(parts: Iterable[AnyPart], full_bytes: float = float("inf")) -> li
     return groups + alone
 
 
-def divided(count: int, workers: int, *, fits: int, worth: int) -> int:
+def part_count(count: int, workers: int, *, fits: int, worth: int) -> int:
     """Return the number of new parts of a merge, chosen so that no worker is idle.
 
     Parameters
@@ -202,7 +203,7 @@ def divided(count: int, workers: int, *, fits: int, worth: int) -> int:
     fits : int
         Number of full parts for which there are enough rows.
     worth : int
-        Number of parts of a higher tier with at least `LEAST_ROWS`. A merge makes at most half of `FANOUT` parts that
+        Number of parts of a higher tier with at least `MIN_ROWS`. A merge makes at most half of `FANOUT` parts that
         are not full, since more would soon be merged again.
     """
     if count < workers:
@@ -253,7 +254,7 @@ def _merges(store: Snapshot, group: list[Part], target_bytes: int, workers: int)
     count = max(1, int(live_bytes / (1.1 * target_bytes)))
     if len(group) > 1:
         climbs = FANOUT ** (_tier(group[0].live_rows) + 1)
-        count = divided(count, workers, fits=int(live_bytes / target_bytes), worth=rows // max(climbs, LEAST_ROWS))
+        count = part_count(count, workers, fits=int(live_bytes / target_bytes), worth=rows // max(climbs, MIN_ROWS))
     share = rows / count
     merges = []
     ends = accumulate(frames[take] for take in takes)

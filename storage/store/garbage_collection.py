@@ -13,7 +13,7 @@ from datetime import datetime
 from pathlib import Path
 
 from kinedex.ops.errors import ParameterError, StoreError
-from kinedex.storage.disk import TEMPORARY, names_in, write_errors
+from kinedex.storage.durable_files import TEMPORARY, names_in, write_errors
 from kinedex.storage.index.generations import (
     BUILDING,
     GENERATION,
@@ -65,7 +65,7 @@ class Garbage:
 
 
 @dataclass(frozen=True)
-class Collection:
+class CollectedGarbage:
     """The outcome of a garbage collection.
 
     Attributes
@@ -80,14 +80,14 @@ class Collection:
     open_versions: list[OpenVersion]
 
 
-def collect(
+def collect_garbage(
     store: str | Path,
     *,
     keep: int = KEPT_VERSIONS,
     older_than_seconds: float = 0.0,
     dry_run: bool = False,
     wait: Wait = NO_WAIT,
-) -> Collection:
+) -> CollectedGarbage:
     """Remove old versions of a store and the files that no remaining version needs; foreign files are not touched.
 
     A version is removed if it is not one of the newest `keep`, is older than the given age, and no reader has it open.
@@ -145,7 +145,7 @@ def collect(
                 unneeded = _unneeded(root, manifests)
             for garbage in unneeded:
                 _remove(root / garbage.path)
-    return Collection([*manifests.values(), *unneeded], opened)
+    return CollectedGarbage([*manifests.values(), *unneeded], opened)
 
 
 def summary(found: list[Garbage]) -> list[str]:

@@ -21,7 +21,7 @@ from typing import Any, Literal
 from pydantic import TypeAdapter, ValidationError
 
 from kinedex.ops.errors import StoreError
-from kinedex.storage.disk import names_in, replace_file, sync_folder, write_errors, write_flushed, xxh3_of
+from kinedex.storage.durable_files import names_in, replace_file, sync_folder, write_errors, write_flushed, xxh3_of
 from kinedex.storage.remedies import repair
 from kinedex.storage.snapshot.manifest import Manifest, PipelineRecord, StageRecord
 from kinedex.storage.snapshot.manifest_files import json_checksum, read_newest, read_version, versions

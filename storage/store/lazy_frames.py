@@ -10,8 +10,8 @@ import polars as pl
 from kinedex.catalog.sql.result_views import ALL
 from kinedex.ops.errors import KinedexError, did_you_mean
 from kinedex.storage.snapshot.schemas import RESULT_KINDS
-from kinedex.storage.snapshot.shown_results import all_parts, origin_of, shown_parts
 from kinedex.storage.snapshot.snapshot import Snapshot
+from kinedex.storage.snapshot.visible_results import all_parts, origin_of, shown_parts
 from kinedex.storage.store.store import data_frame
 
 SCANNED = ("takes", "frames", *RESULT_KINDS, *(f"{ALL}{kind}" for kind in RESULT_KINDS))

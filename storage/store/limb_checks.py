@@ -133,8 +133,8 @@ def _mount_problem(row: dict[str, Any]) -> str:
     found = row["q_global"] is not None and len(mounts) == 1
     if found == (row["left_out"] is not None) or (not found and mounts):
         return f"{name} has neither a mount nor the reason for which there is none, or both"
-    turns = [one for one in (row["q_global"], *mounts) if one is not None]
-    if any(abs(sum(value**2 for value in one.values()) - 1.0) > _OFF_LENGTH for one in turns):
+    rotations = [one for one in (row["q_global"], *mounts) if one is not None]
+    if any(abs(sum(value**2 for value in one.values()) - 1.0) > _OFF_LENGTH for one in rotations):
         return f"{name} has a rotation or a direction that is not of length 1"
     shares = [row[key] for key in ("inliers", "observability") if row[key] is not None]
     return "" if all(0.0 <= value <= 1.0 for value in shares) else f"{name} has a share beyond 0 and 1"
@@ -161,8 +161,8 @@ def _order_problem(piece: pa.Table, counts: Counter[tuple[str, str]]) -> str:
 
 def _turn_problem(piece: pa.Table) -> str:
     """Return the problem of the first frame with an invalid rotation, or that is valid without a rotation."""
-    turns = piece.column("orientation").combine_chunks()
-    axes = [pc.struct_field(turns, axis).to_numpy(zero_copy_only=False) for axis in "wxyz"]
+    rotations = piece.column("orientation").combine_chunks()
+    axes = [pc.struct_field(rotations, axis).to_numpy(zero_copy_only=False) for axis in "wxyz"]
     squares = np.asarray(np.sum([np.square(axis.astype(np.float64)) for axis in axes], axis=0))
     wrong = np.flatnonzero(np.abs(squares - 1.0) > _OFF_LENGTH)  # NaN, which stands for unknown, compares as False
     if len(wrong):

@@ -20,7 +20,7 @@ _NAMED = 5
 
 
 @dataclass(frozen=True)
-class Merged:
+class MergeResult:
     """The content that was added from the other store.
 
     Attributes
@@ -43,7 +43,7 @@ class Merged:
 
 def merge_store(
     writer: StoreWriter, other: Store, prefix: str = "", progress: Callable[[int], None] = lambda takes: None
-) -> Merged:
+) -> MergeResult:
     """Add the takes and labels of another store, and commit them as one version.
 
     Frames are copied unchanged, with new ids of takes; no motion file is read. Results are not copied. If the process
@@ -90,7 +90,7 @@ def merge_store(
     put = int(writer.put_labels(labels.replace_schema_metadata(None)).num_rows)
     kept = _put_sources(writer, other.manifest)
     writer.commit()
-    return Merged(len(ids), sum(other.take_frames.values()), put, kept)
+    return MergeResult(len(ids), sum(other.take_frames.values()), put, kept)
 
 
 def _require_fitting(writer: StoreWriter, other: Store) -> None:

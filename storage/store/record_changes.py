@@ -8,7 +8,7 @@ from typing import Any
 
 from kinedex.ops.errors import StoreError, did_you_mean
 from kinedex.storage.snapshot.manifest import Manifest, PipelineRecord, Source, StageRecord, now
-from kinedex.storage.snapshot.shown_results import current_pipeline, pipelines_by_use
+from kinedex.storage.snapshot.visible_results import current_pipeline, pipelines_by_use
 from kinedex.storage.store.version_changes import VersionDraft
 
 

@@ -12,15 +12,15 @@ import pyarrow as pa
 import pyarrow.compute as pc
 
 from kinedex.ops.errors import ParameterError, StoreError
-from kinedex.storage.disk import write_errors
+from kinedex.storage.durable_files import write_errors
 from kinedex.storage.snapshot.checked_files import CheckedFiles
 from kinedex.storage.snapshot.label_journal import Journal, append_rows, empty, journal_rows, read_journals
-from kinedex.storage.snapshot.labels import new_labels
 from kinedex.storage.snapshot.manifest import LabelPart, ResultPart
 from kinedex.storage.snapshot.manifest_files import read_newest, require_current_format
 from kinedex.storage.snapshot.parts import write_part, write_pieces
 from kinedex.storage.snapshot.schemas import conform, labels_schema, result_schema
 from kinedex.storage.snapshot.snapshot import Snapshot
+from kinedex.storage.snapshot.stored_labels import new_labels
 from kinedex.storage.store.store import all_labels
 from kinedex.storage.store.version_changes import VersionDraft
 
@@ -94,7 +94,7 @@ class ResultChanges(VersionDraft):
         Parameters
         ----------
         labels : pyarrow.Table
-            Columns of `labels_schema`; missing values are completed (`storage.snapshot.labels.new_labels`).
+            Columns of `labels_schema`; missing values are completed (`storage.snapshot.stored_labels.new_labels`).
             A row whose id the store has is skipped, so that adding rows twice is harmless.
 
         Returns
@@ -175,7 +175,7 @@ def record_labels(path: str | Path, labels: pa.Table) -> pa.Table:
     path : str or Path
         The store's directory.
     labels : pyarrow.Table
-        Columns of `labels_schema`; missing values are completed (`storage.snapshot.labels.new_labels`). A row
+        Columns of `labels_schema`; missing values are completed (`storage.snapshot.stored_labels.new_labels`). A row
         whose id the store has is skipped.
 
     Returns

@@ -27,7 +27,7 @@ from kinedex.storage.snapshot.manifest import ResultPart
 from kinedex.storage.snapshot.parts import FULL_BYTES, read_errors
 from kinedex.storage.snapshot.row_groups import RowGroups
 from kinedex.storage.snapshot.snapshot import Snapshot
-from kinedex.storage.store.compaction import worthwhile
+from kinedex.storage.store.compaction import merge_groups
 
 
 @dataclass(frozen=True)
@@ -77,7 +77,7 @@ def reused_parts(
     }
     whole = [part for part, values in held.items() if values <= wanted]
     rewritten = {part for part, values in held.items() if not values <= wanted and values & wanted}
-    rewritten |= {part for group in worthwhile(whole, FULL_BYTES) for part in group}
+    rewritten |= {part for group in merge_groups(whole, FULL_BYTES) for part in group}
     while True:  # rows of a take in several parts keep their order only if all of the parts are rewritten
         moved = set().union(*(held[part] & wanted for part in rewritten))
         more = {part for part in whole if part not in rewritten and held[part] & moved}
@@ -123,7 +123,7 @@ def values_in(store: Snapshot, part: ResultPart, column: str) -> set[int | str]:
     return set(pc.unique(found).to_pylist())
 
 
-LEAST_ROWS = 50_000
+MIN_ROWS = 50_000
 """The smallest number of rows in a row group: a long take has groups of its own, and short takes share one."""
 
 Pieces = Callable[[pa.Table], Iterable[pa.Table]]
@@ -195,7 +195,7 @@ def _of_run(rows: pa.Table, run: str) -> pa.Table:
 
 
 def _gathered(pieces: Iterable[pa.Table | ResultPart]) -> Iterator[pa.Table | ResultPart]:
-    """Yield tables joined to at least `LEAST_ROWS` rows, and each part once."""
+    """Yield tables joined to at least `MIN_ROWS` rows, and each part once."""
     waiting: list[pa.Table] = []
     count = 0
     last: ResultPart | None = None
@@ -203,7 +203,7 @@ def _gathered(pieces: Iterable[pa.Table | ResultPart]) -> Iterator[pa.Table | Re
         if isinstance(one, pa.Table):
             waiting.append(one)
             count += one.num_rows
-        if waiting and (isinstance(one, ResultPart) or count >= LEAST_ROWS):
+        if waiting and (isinstance(one, ResultPart) or count >= MIN_ROWS):
             yield pa.concat_tables(waiting)
             waiting, count = [], 0
         if isinstance(one, ResultPart) and one != last:

@@ -20,18 +20,18 @@ from kinedex.storage.index.generations import FILE, current_generation, missing_
 from kinedex.storage.leases import Lease, take_lease
 from kinedex.storage.snapshot.checked_files import CheckedFiles
 from kinedex.storage.snapshot.label_journal import journal_rows, read_journals, require_sound
-from kinedex.storage.snapshot.labels import current_labels
 from kinedex.storage.snapshot.manifest import Manifest
 from kinedex.storage.snapshot.manifest_files import read_newest, read_version, versions
 from kinedex.storage.snapshot.schemas import sorted_by, with_columns
 from kinedex.storage.snapshot.snapshot import Snapshot
+from kinedex.storage.snapshot.stored_labels import current_labels
 
 if TYPE_CHECKING:
     import polars as pl
 
-    from kinedex.storage import duck
+    from kinedex.storage import duckdb_sql
     from kinedex.storage.sql.connection import Connections, Definitions
-    from kinedex.storage.sql.queries import Answer
+    from kinedex.storage.sql.queries import QueryResult
 
 
 AskedVersion = int | Literal["newest"]
@@ -213,13 +213,13 @@ class Store(Snapshot):
             return self.take_rows
         if not where.strip():
             raise KinedexError("the filter over takes is empty; leave it out to get all takes")
-        from kinedex.storage import duck
+        from kinedex.storage import duckdb_sql
 
         try:
-            found = duck.rows_where(self.take_rows, "takes", where)
-        except duck.Error as fault:
+            found = duckdb_sql.rows_where(self.take_rows, "takes", where)
+        except duckdb_sql.Error as fault:
             raise KinedexError(
-                f"the filter over takes does not work: {where}\n  {duck.first_line(fault)}\n"
+                f"the filter over takes does not work: {where}\n  {duckdb_sql.first_line(fault)}\n"
                 f"  columns of takes: {', '.join(self.take_rows.column_names)}"
             ) from None
         return sorted_by(with_columns(found, self.take_rows.schema), "name")
@@ -237,7 +237,7 @@ class Store(Snapshot):
             raise missing_index(self.path, self.manifest)
         return generation / FILE
 
-    def connect(self, threads: int | None = None, memory_mb: int | None = None) -> duck.Connection:
+    def connect(self, threads: int | None = None, memory_mb: int | None = None) -> duckdb_sql.Connection:
         """Open a DuckDB connection with all views and macros (`catalog.sql.views`).
 
         The index is attached read-only, and changes of views and tables on the connection do not affect the store. It
@@ -270,7 +270,7 @@ class Store(Snapshot):
     def sql(
         self,
         query: str,
-        params: duck.Parameters = None,
+        params: duckdb_sql.Parameters = None,
         *,
         polars: Literal[False] = False,
         timeout: float | None = None,
@@ -278,11 +278,11 @@ class Store(Snapshot):
 
     @overload
     def sql(
-        self, query: str, params: duck.Parameters = None, *, polars: Literal[True], timeout: float | None = None
+        self, query: str, params: duckdb_sql.Parameters = None, *, polars: Literal[True], timeout: float | None = None
     ) -> pl.DataFrame: ...
 
     def sql(
-        self, query: str, params: duck.Parameters = None, *, polars: bool = False, timeout: float | None = None
+        self, query: str, params: duckdb_sql.Parameters = None, *, polars: bool = False, timeout: float | None = None
     ) -> pa.Table | pl.DataFrame:
         """Run one SQL query over the views and macros (`catalog.sql.views`) and return its rows.
 
@@ -310,11 +310,11 @@ class Store(Snapshot):
     def answer(
         self,
         query: str,
-        params: duck.Parameters = None,
+        params: duckdb_sql.Parameters = None,
         *,
         timeout: float | None = None,
         max_rows: int | None = None,
-    ) -> Answer:
+    ) -> QueryResult:
         """Run one SQL query as `sql` does, and return at most `max_rows` rows with the number of all rows.
 
         Parameters

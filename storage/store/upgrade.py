@@ -15,7 +15,7 @@ import pyarrow.parquet as pq
 import yaml
 
 from kinedex.ops.errors import StoreError
-from kinedex.storage.disk import TEMPORARY, FileSums, sync_file, write_errors
+from kinedex.storage.durable_files import TEMPORARY, FileSums, sync_file, write_errors
 from kinedex.storage.index.builder import build_index
 from kinedex.storage.index.generations import current_generation, generations
 from kinedex.storage.lock import NO_WAIT, Lock, Wait

@@ -16,8 +16,8 @@ import pyarrow.compute as pc
 import pyarrow.parquet as pq
 
 from kinedex.ops.errors import KinedexError, Remedy, StoreError
-from kinedex.storage import duck
-from kinedex.storage.disk import names_in
+from kinedex.storage import duckdb_sql
+from kinedex.storage.durable_files import names_in
 from kinedex.storage.index.generations import (
     INDEX_VERSION,
     RECORD,
@@ -312,7 +312,7 @@ class _Verification:
         try:
             for name, problem in index_problems(self.store, generation, record, words=sound) if not wrong else ():
                 yield self._found("index", f"{folder}/{name}", problem)
-        except (KinedexError, duck.Error) as fault:
+        except (KinedexError, duckdb_sql.Error) as fault:
             yield self._found("index", folder, f"cannot be read: {str(fault).splitlines()[0]}")
 
     def _unusable_index(self) -> Iterator[Finding]:

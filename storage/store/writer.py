@@ -12,7 +12,7 @@ import pyarrow as pa
 
 from kinedex.catalog.features import FeatureSet
 from kinedex.ops.errors import NewStoreError, StoreError
-from kinedex.storage.disk import TEMPORARY, names_in, write_errors
+from kinedex.storage.durable_files import TEMPORARY, names_in, write_errors
 from kinedex.storage.lock import NO_WAIT, Lock, Wait
 from kinedex.storage.snapshot.manifest import Manifest, changed_content, kinedex_version, now, running_command
 from kinedex.storage.snapshot.manifest_files import (

@@ -13,7 +13,7 @@ import sys
 from tests.attacks.outcome import Options, Outcome
 from tests.attacks.runs import ATTACKS, FOLDER, results
 
-MOST_SHOWN = 20
+MAX_SHOWN = 20
 
 
 def main() -> int:
@@ -47,12 +47,12 @@ def _show(name: str, outcome: Outcome, options: Options) -> None:
     print(name)
     for kind, count in outcome.counts.items():
         print(f"  {kind:34} {count:9,}")
-    for failure in outcome.failures[:MOST_SHOWN]:
+    for failure in outcome.failures[:MAX_SHOWN]:
         if not failure.case:
             print(failure.problem.rstrip())
         print(f"  FAILED {failure.problem.strip().splitlines()[-1][:300]}\n    {command(name, failure.case, options)}")
-    if len(outcome.failures) > MOST_SHOWN:
-        print(f"  … and {len(outcome.failures) - MOST_SHOWN} more in {FOLDER / name}.json")
+    if len(outcome.failures) > MAX_SHOWN:
+        print(f"  … and {len(outcome.failures) - MAX_SHOWN} more in {FOLDER / name}.json")
     sys.stdout.flush()
 
 

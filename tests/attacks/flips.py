@@ -34,9 +34,9 @@ import pyarrow as pa
 from kinedex.catalog.sql.views import MACROS, VIEWS
 from kinedex.library.store import Store as Archive
 from kinedex.ops.errors import KinedexError
-from kinedex.pipelines.evaluation.written_evaluations import read_run
-from kinedex.pipelines.export.export import export_take
-from kinedex.pipelines.export.request import How
+from kinedex.pipelines.evaluation.written_evaluations import read_evaluations
+from kinedex.pipelines.export.data_set import export_take
+from kinedex.pipelines.export.request import ClipOptions
 from kinedex.reports.annotation_data import read_report_data
 from kinedex.storage.index.builder import build_index
 from kinedex.storage.snapshot.manifest_files import read_version, versions
@@ -181,7 +181,7 @@ def questions(store: Store) -> dict[str, Question]:
         inputs = store.manifest.stages[records[0]].summary["inputs"]
         moment = datetime(2026, 1, 1, tzinfo=UTC)
         asked["report"] = lambda store: read_report_data(store, pipeline, created=moment, inputs=inputs)
-        asked["compare"] = lambda store: read_run(str(store.path))
+        asked["compare"] = lambda store: read_evaluations(str(store.path))
     return asked
 
 
@@ -191,7 +191,7 @@ def _sql(query: str) -> Question:
 
 def _exported(store: Store, take: str) -> bytes:
     file = store.path.parent / "exported.csv"
-    export_take(store, take, How("csv"), file)
+    export_take(store, take, ClipOptions("csv"), file)
     return file.read_bytes()
 
 

@@ -16,7 +16,7 @@ SECONDS = {"bytes": 2.0, "structure": 2.0, "guided": 3.0}
 NIGHTLY_SECONDS = 120.0
 """Seconds for each reader and mutator, besides those for loading."""
 
-MOST_READERS: dict[str, tuple[int | None, int | None]] = {
+MAX_READERS: dict[str, tuple[int | None, int | None]] = {
     "sample": (8, 0),
     "ordinary": (None, 20),
     "nightly": (None, None),
@@ -54,7 +54,7 @@ def run(folder: Path, options: Options) -> Outcome:
 
 def _readers(mutator: str, options: Options) -> list[str]:
     """Return the readers whose files a mutator changes."""
-    most = MOST_READERS[options.size][mutator == "guided"] if mutator != "guided" or guided.available() else 0
+    most = MAX_READERS[options.size][mutator == "guided"] if mutator != "guided" or guided.available() else 0
     return list(TARGETS) if most is None else sorted(Random(f"{options.seed}/{mutator}").sample(sorted(TARGETS), most))
 
 

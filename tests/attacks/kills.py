@@ -20,7 +20,7 @@ from typing import Any
 from kinedex.ops.errors import KinedexError
 from kinedex.storage.index.generations import current_generation
 from kinedex.storage.snapshot.manifest_files import read_newest, read_version, versions
-from kinedex.storage.store.garbage_collection import collect
+from kinedex.storage.store.garbage_collection import collect_garbage
 from kinedex.storage.store.store import Store, open_store
 from kinedex.storage.store.verification import verify
 from tests.attacks.outcome import Options, Outcome
@@ -222,7 +222,7 @@ def _checked(work: Work, base: Path, place: Path, undisturbed: Undisturbed, publ
     problem = _sound(place) or _difference(end, undisturbed.end)
     if problem:
         return f"after the next run: {problem}"
-    collect(place, keep=1)
+    collect_garbage(place, keep=1)
     left = [path.relative_to(place) for path in place.rglob(".*")]
     return f"no collection of garbage removes {left[0]}" if left else _sound(place)
 

@@ -63,9 +63,9 @@ COLLECT = """
 import sys
 from pathlib import Path
 
-from kinedex.storage.store.garbage_collection import collect
+from kinedex.storage.store.garbage_collection import collect_garbage
 
-collect(sys.argv[2], keep=1)
+collect_garbage(sys.argv[2], keep=1)
 (Path(sys.argv[3]) / "1").write_text("done")
 """
 

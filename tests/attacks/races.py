@@ -23,13 +23,13 @@ import pyarrow as pa
 
 import kinedex
 from kinedex.ops.errors import KinedexError, StoreError
-from kinedex.pipelines.search.bit_slices import sliced_store
+from kinedex.pipelines.keyframes.slice_search import sliced_store
 from kinedex.storage.index.builder import build_index
 from kinedex.storage.index.generations import current_generation
 from kinedex.storage.lock import Wait
 from kinedex.storage.snapshot.manifest_files import versions
 from kinedex.storage.store.compaction import compact
-from kinedex.storage.store.garbage_collection import collect
+from kinedex.storage.store.garbage_collection import collect_garbage
 from kinedex.storage.store.store import Store, open_store
 from kinedex.storage.store.writer import StoreWriter
 from tests.attacks.outcome import Options, Outcome
@@ -175,7 +175,7 @@ def _write(store: Path, stop: Path, commits: int) -> dict[str, int]:
 def _collect(store: Path, stop: Path) -> dict[str, int]:
     counts = dict.fromkeys(("collections", "versions removed", "versions kept for readers"), 0)
     while not stop.exists():
-        found = collect(store, keep=1, wait=WAIT)
+        found = collect_garbage(store, keep=1, wait=WAIT)
         counts["collections"] += 1
         counts["versions removed"] += sum(one.kind == "old version" for one in found.removed)
         counts["versions kept for readers"] += len(found.open_versions)

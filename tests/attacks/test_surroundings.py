@@ -17,7 +17,7 @@ from kinedex.storage.formats.motion.body_models import load_body_model
 from kinedex.storage.formats.motion.reader import ReadSettings
 from kinedex.storage.formats.motion.reader_table import read_body
 from kinedex.storage.index.builder import build_index
-from kinedex.storage.store.garbage_collection import collect
+from kinedex.storage.store.garbage_collection import collect_garbage
 from kinedex.storage.store.store import open_store
 from kinedex.storage.store.verification import verify
 from kinedex.storage.store.writer import StoreWriter
@@ -52,7 +52,7 @@ def test_links_in_the_index_folder_lead_neither_gc_nor_a_build_outside(tmp_path:
     (outside / "file").write_text("precious")
     for name in ("gen-000001-9", ".building-x"):
         (path / "index" / name).symlink_to(outside)
-    collect(path, keep=1)
+    collect_garbage(path, keep=1)
     assert not (path / "index" / "gen-000001-9").is_symlink()
     assert (outside / "file").read_text() == "precious"
     assert verify(open_store(path)) == []
@@ -68,7 +68,7 @@ def test_after_the_clock_went_back_leftovers_go_and_takes_stay(tmp_path: Path) -
     with StoreWriter.open(path, BODY) as writer:
         add(writer, {"b": 20})
         writer.commit()
-    collect(path, keep=1)
+    collect_garbage(path, keep=1)
     with open_store(path) as store:
         assert sorted(store.take_ids) == ["a", "b"]
         assert verify(store) == []

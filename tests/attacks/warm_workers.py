@@ -85,7 +85,7 @@ def _load_everything() -> None:
     import tests.warmed
     from kinedex.pipelines.engine.code_digest import code_digest
     from kinedex.pipelines.engine.stage import STAGES, load_stage
-    from kinedex.pipelines.keyframes.learning import _code
+    from kinedex.pipelines.keyframes.query_learning import _code
 
     assert tests.warmed
     for name in STAGES:

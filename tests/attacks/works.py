@@ -13,11 +13,11 @@ import yaml
 
 import kinedex
 from kinedex.console.terminal import Terminal
-from kinedex.pipelines.ingestion import read_rounds
-from kinedex.pipelines.keyframes import runs
-from kinedex.pipelines.repair.repair import repair_store
+from kinedex.pipelines.ingestion import read_passes
+from kinedex.pipelines.ingestion.store_repair import repair_store
+from kinedex.pipelines.keyframes import learning_runs
 from kinedex.storage.index.builder import build_index
-from kinedex.storage.store.garbage_collection import collect
+from kinedex.storage.store.garbage_collection import collect_garbage
 from kinedex.storage.store.result_changes import record_labels
 from kinedex.storage.store.store import open_store
 from kinedex.storage.store.upgrade import upgrade
@@ -69,7 +69,7 @@ class Work:
 
 def bring_in(folder: Path, store: Path) -> None:
     """Ingest the folder's sources in small batches."""
-    read_rounds.MEGABYTE = BATCH_BYTES
+    read_passes.MEGABYTE = BATCH_BYTES
     stages: dict[str, dict[str, object]] = {"ingest": {"source": str(folder / "source"), "prune": True}}
     kinedex.run_pipeline(str(_written(folder, "ingest", "ingest", stages)), store)
 
@@ -138,7 +138,7 @@ def _staged(count: int, folder: Path) -> None:
 
 def _stages(count: int, folder: Path, store: Path) -> None:
     # saves by the clock would make more versions on a slow machine than the undisturbed run made
-    runs.SAVE_SECONDS = math.inf
+    learning_runs.SAVE_SECONDS = math.inf
     source = str(folder / "source")
     stages: dict[str, dict[str, object]] = {"ingest": {"source": source, "patterns": PATTERNS}, "index": {}}
     stages |= dict(list(STAGES.items())[:count])
@@ -167,7 +167,7 @@ def _upgrade(folder: Path, store: Path) -> None:
 
 
 def _repair(folder: Path, store: Path) -> None:
-    read_rounds.MEGABYTE = BATCH_BYTES
+    read_passes.MEGABYTE = BATCH_BYTES
     repair_store(store, Terminal())
 
 
@@ -201,7 +201,7 @@ def _build(folder: Path, store: Path) -> None:
 
 
 def _collect(folder: Path, store: Path) -> None:
-    collect(store, keep=1)
+    collect_garbage(store, keep=1)
 
 
 WORKS = {

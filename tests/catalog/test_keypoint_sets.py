@@ -42,14 +42,14 @@ def test_of_two_sets_with_as_many_keypoints_the_one_with_short_limbs_is_meant(na
 
 @pytest.mark.parametrize("name", [name for name in config_names("keypoints") if name != "named"])
 def test_the_twelve_limb_joints_are_named_joints_in_every_set(name: str) -> None:
-    places = load_keypoint_set(name).places
+    places = load_keypoint_set(name).positions
     for side, long in (("l", "left"), ("r", "right")):
         for part in ("hip", "knee", "ankle", "shoulder", "elbow", "wrist"):
             assert places[f"{long}_{part}"].joint == side + part
 
 
 def test_only_what_a_body_has_no_place_for_is_left_out() -> None:
-    unused = {name: set(load_keypoint_set(name).order) - set(load_keypoint_set(name).places)
+    unused = {name: set(load_keypoint_set(name).order) - set(load_keypoint_set(name).positions)
               for name in config_names("keypoints")}  # fmt: skip
     assert {name for name, those in unused.items() if those} == {"coco-133", "mediapipe-33"}
     assert len(unused["coco-133"]) == 68 + 42

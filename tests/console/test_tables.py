@@ -12,15 +12,15 @@ import pytest
 from rich.console import Console
 
 from kinedex.console import tables
-from kinedex.console.tables import Shown, encode, rich_table
+from kinedex.console.tables import PrintedTable, encode, rich_table
 from kinedex.console.terminal import Terminal
 from kinedex.ops.errors import KinedexError
-from kinedex.storage import duck
+from kinedex.storage import duckdb_sql
 
 
 def asked(query: str) -> pa.Table:
-    with duck.connect() as connection:
-        return duck.rows(connection, query)
+    with duckdb_sql.connect() as connection:
+        return duckdb_sql.rows(connection, query)
 
 
 def printed(table: pa.Table) -> str:
@@ -93,7 +93,7 @@ LOG = pa.table(
 def shown(table: pa.Table, width: int, *, terminal: bool) -> list[str]:
     out = io.StringIO()
     console = Console(file=out, width=width, soft_wrap=True, force_terminal=terminal, color_system=None)
-    console.print(Shown(table))
+    console.print(PrintedTable(table))
     return [line.rstrip() for line in out.getvalue().splitlines()]
 
 
@@ -120,7 +120,9 @@ def test_in_a_terminal_rows_that_would_be_tall_stand_one_below_another_and_are_w
 def test_a_long_line_that_is_said_goes_on_below_between_two_words_in_a_terminal_only():
     for terminal, lines in ((True, 2), (False, 1)):
         out = io.StringIO()
-        Terminal(Console(file=out, width=60, soft_wrap=True, force_terminal=terminal, color_system=None)).say(MESSAGE)
+        Terminal(Console(file=out, width=60, soft_wrap=True, force_terminal=terminal, color_system=None)).message(
+            MESSAGE
+        )
         message = out.getvalue().splitlines()
         assert len(message) == lines
         assert " ".join(out.getvalue().split()) == MESSAGE
@@ -147,7 +149,7 @@ def test_a_table_in_a_pipe_has_the_lines_that_rich_lays_out(
 ) -> None:
     def text() -> str:
         console = Console(file=io.StringIO(), width=160, soft_wrap=True, force_terminal=False)
-        console.print(Shown(pa.table(columns)))
+        console.print(PrintedTable(pa.table(columns)))
         return console.file.getvalue()
 
     plain = text()

@@ -13,7 +13,7 @@ from starlette.testclient import TestClient
 
 from kinedex.explorer.access import Rules
 from kinedex.explorer.application import make_application
-from kinedex.explorer.archive import Archive
+from kinedex.explorer.open_archive import Archive
 from tests.pipelines.labelled import clip, long_take, write_store
 
 TOKEN = "the-token"

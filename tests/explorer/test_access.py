@@ -6,7 +6,7 @@ import re
 
 import pytest
 
-from kinedex.explorer.access import MOST_BYTES, Rules, address, is_loopback
+from kinedex.explorer.access import MAX_BYTES, Rules, address, is_loopback
 from tests.explorer.conftest import HOST, PORT, TOKEN, Connect
 
 
@@ -100,8 +100,8 @@ def test_only_files_of_the_page_are_served(connect: Connect) -> None:
 
 def test_a_body_that_is_too_long_is_refused_whatever_it_announces(connect: Connect) -> None:
     client = connect()
-    assert client.post("/api/takes", content=b" " * (MOST_BYTES + 1)).status_code == 413
-    chunks = (b" " * 2**20 for _ in range(MOST_BYTES // 2**20 + 1))
+    assert client.post("/api/takes", content=b" " * (MAX_BYTES + 1)).status_code == 413
+    chunks = (b" " * 2**20 for _ in range(MAX_BYTES // 2**20 + 1))
     assert client.post("/api/takes", content=chunks).status_code == 413
     assert client.post("/api/takes", content=b"{}", headers={"content-length": "-1"}).status_code in (400, 413)
 

@@ -11,8 +11,8 @@ import pytest
 from starlette.testclient import TestClient
 
 from kinedex.explorer import application
-from kinedex.explorer.addresses import Question, get, post
 from kinedex.explorer.answers import Json, NotFoundError
+from kinedex.explorer.endpoints import RequestBody, get, post
 from kinedex.ops.errors import KinedexError, ParameterError, Remedy, StoreError
 from kinedex.storage.interruption import TimeLimitError
 from tests.explorer.conftest import Connect
@@ -29,7 +29,7 @@ FAULTS: dict[str, Exception] = {
 STATUS = {"plain": 400, "store": 400, "parameter": 422, "absent": 404, "late": 408, "file": 500, "bug": 500}
 
 
-class Amount(Question):
+class Amount(RequestBody):
     n: int
 
 

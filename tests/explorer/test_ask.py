@@ -16,7 +16,7 @@ from kinedex.catalog.template_files import read_templates
 from kinedex.explorer.keyframes import QueryEntry, model_of, read_text, written
 from kinedex.ops.intervals import Hit, Interval
 from kinedex.ops.templates.templates import quantise
-from kinedex.pipelines.ranking.examples import template_of_chosen
+from kinedex.pipelines.templates.chosen_intervals import template_of_chosen
 from kinedex.storage.index.builder import build_index
 from kinedex.storage.store.store import Store, open_store
 from tests.explorer.conftest import Connect

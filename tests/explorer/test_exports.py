@@ -115,15 +115,17 @@ def test_hits_that_show_a_mirror_image_are_marked(connect: Connect, tmp_path: Pa
 def test_sizes_are_those_of_a_sample(connect: Connect, tmp_path: Path, form: str) -> None:
     from kinedex.pipelines.engine.display import no_progress
     from kinedex.pipelines.engine.executors import make_executor
-    from kinedex.pipelines.export.export import export_data_set
-    from kinedex.pipelines.export.request import How, What
+    from kinedex.pipelines.export.data_set import export_data_set
+    from kinedex.pipelines.export.request import ClipOptions, IntervalSource
 
     client = connect()
     shown = plan(client, how={"form": form})
     assert "estimated from 6 clips" in shown["estimate"]
     store = client.app.app.state.archive.store()  # type: ignore[attr-defined]
     target = tmp_path / "set"
-    export_data_set(store, What(), How(form), target, executor=make_executor("serial", None), progress=no_progress)
+    export_data_set(
+        store, IntervalSource(), ClipOptions(form), target, executor=make_executor("serial", None), progress=no_progress
+    )
     written = sum(path.stat().st_size for path in target.rglob("*") if path.is_file())
     assert written == pytest.approx(shown["bytes"], rel=0.1)
 

@@ -14,9 +14,9 @@ import yaml
 from starlette.testclient import TestClient
 
 import kinedex
-from kinedex.explorer.archive import Archive
 from kinedex.explorer.jobs import Job, Jobs
-from kinedex.explorer.learning import LearnQuestion, classes_with, learning_stages
+from kinedex.explorer.learning import LearnRequest, classes_with, learning_stages
+from kinedex.explorer.open_archive import Archive
 from kinedex.ops.errors import KinedexError
 from kinedex.pipelines.engine.runner import run_pipeline
 from kinedex.pipelines.stages import annotate
@@ -64,10 +64,10 @@ def test_few_labels_alone_annotate_an_archive_and_it_can_be_undone(
     client = connect(archive)
     facts = client.get("/api/learn").json()
     assert (facts["based_on"], facts["examples"], facts["method"], facts["last"]) == (None, "labels", "best", None)
-    stages = learning_stages(open_store(archive), LearnQuestion())
+    stages = learning_stages(open_store(archive), LearnRequest())
     assert stages["annotate"]["params"]["each_example"]
     assert stages["learn_templates"]["params"]["methods"] == ["soft"]
-    thesis = learning_stages(open_store(archive), LearnQuestion(method="thesis"))
+    thesis = learning_stages(open_store(archive), LearnRequest(method="thesis"))
     assert not thesis["annotate"]["params"]["each_example"]
     started = client.post("/api/learn", json={})
     assert started.status_code == 200, started.text

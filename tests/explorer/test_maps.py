@@ -21,8 +21,8 @@ from kinedex.explorer import map_processes
 from kinedex.explorer.map_processes import MapRun, Maps
 from kinedex.explorer.maps import cluster_title
 from kinedex.ops.errors import KinedexError
-from kinedex.pipelines.maps import archive_map as service
-from kinedex.pipelines.maps.archive_map import ArchiveMap, Cluster, archive_map, window_seconds, windows
+from kinedex.pipelines.inspection import archive_map as service
+from kinedex.pipelines.inspection.archive_map import ArchiveMap, Cluster, archive_map, window_seconds, windows
 from kinedex.storage.store.store import open_store
 from tests.explorer.conftest import Connect, run
 
@@ -140,7 +140,7 @@ def test_windows_cover_every_frame_once_and_are_longer_where_there_are_many(
     assert np.isin(np.cumsum(frames), bounds).all()
     lengths = np.diff(bounds)
     assert lengths[owner == 2].min() >= lengths[owner == 2].max() - 1
-    monkeypatch.setattr(service, "MOST_POINTS", 8)
+    monkeypatch.setattr(service, "MAX_POINTS", 8)
     assert window_seconds(frames, 10.0) == 8.0
     assert window_seconds(np.full(9, 5), 10.0) == 4.0, "there are no fewer windows than takes"
     opened = open_store(store)

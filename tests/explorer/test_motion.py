@@ -17,7 +17,7 @@ from kinedex.explorer.motion import (
     facing_viewer,
     figures,
     motion_blocks,
-    packed,
+    packed_positions,
 )
 from kinedex.ops.errors import KinedexError, ParameterError
 from kinedex.ops.intervals import Interval
@@ -97,7 +97,7 @@ def test_a_range_beyond_the_take_is_an_error_at_once(store: Store, first: int, s
 
 
 def test_a_motion_without_any_known_place_has_unknown_numbers_alone() -> None:
-    shape, places, _ = unpack(packed(np.full((2, 3, 3), np.nan), 30.0))
+    shape, places, _ = unpack(packed_positions(np.full((2, 3, 3), np.nan), 30.0))
     assert shape == (2, 3, 0, 1)
     assert np.isnan(places).all()
 

@@ -9,8 +9,8 @@ from pathlib import Path
 import pytest
 
 from kinedex.console.terminal import Terminal
-from kinedex.explorer.archive import Archive
 from kinedex.explorer.jobs import Job, Jobs, jobs_of
+from kinedex.explorer.open_archive import Archive
 from kinedex.pipelines.engine.runner import run_pipeline
 from kinedex.storage.store.store import open_store
 from tests.explorer.conftest import Connect

@@ -190,7 +190,7 @@ def test_a_host_that_is_not_here_is_named(host: str) -> None:
 
 
 def test_other_machines_are_let_in_with_a_warning_alone() -> None:
-    assert re.search(r"0\.0\.0\.0.*SSH tunnel", server.others_warning("0.0.0.0"))
+    assert re.search(r"0\.0\.0\.0.*SSH tunnel", server.remote_access_warning("0.0.0.0"))
 
 
 def test_a_checkout_without_the_page_names_the_command_that_builds_it(tmp_path: Path) -> None:
@@ -230,4 +230,4 @@ def test_threads_share_heaps(tmp_path: Path) -> None:
 
 
 def test_a_store_that_cannot_be_written_is_announced() -> None:
-    assert server.no_writing_warning(Path("an archive")).startswith("an archive cannot be written")
+    assert server.read_only_warning(Path("an archive")).startswith("an archive cannot be written")

@@ -218,7 +218,7 @@ def test_many_takes_are_judged_by_some_unless_all_are_asked_for(
     client: TestClient, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     whole = client.post("/api/templates/effect", json=KICK).json()
-    monkeypatch.setattr(held_out_truth, "MOST_SECONDS", 0.1)
+    monkeypatch.setattr(held_out_truth, "MAX_SECONDS", 0.1)
     asked = {**KICK, "truth": "evaluation"}
     some = client.post("/api/templates/effect", json=asked).json()
     assert (some["truth"]["takes"], some["truth"]["all_takes"]) == (1, 2)

@@ -11,10 +11,10 @@ import polars as pl
 import yaml
 from PIL import Image
 
+from kinedex.catalog.camera_recordings import load_recordings
 from kinedex.catalog.configs import load_yaml
 from kinedex.catalog.keypoint_sets import parse_keypoint_set
 from kinedex.catalog.kinematics import load_kinematic_chain
-from kinedex.catalog.recordings import load_recordings
 from kinedex.ops.body.kinematic_chain import ChainBody
 from kinedex.storage.formats.cameras.calibrations import in_metres, read_calibration
 from kinedex.storage.formats.cameras.keypoint_files import keypoint_arrays
@@ -220,5 +220,5 @@ def check_keypoint_set(path: Path) -> None:
     """Keypoints lie on a body."""
     chain = load_kinematic_chain()
     found = parse_keypoint_set(load_yaml(path), chain)
-    points = found.body_points(list(found.places), ChainBody(chain, np.zeros((len(chain.joints), 3))))
+    points = found.body_points(list(found.positions), ChainBody(chain, np.zeros((len(chain.joints), 3))))
     assert np.isfinite(points.offsets).all()

@@ -31,7 +31,7 @@ CASE_SECONDS = 5.0
 MEMORY_BYTES = 1 << 30
 """The memory that a child may allocate beyond what it has once everything is imported and compiled."""
 
-MOST_FINDINGS = 10
+MAX_FINDINGS = 10
 """So many different findings of one target end its hunt: mend these first."""
 
 
@@ -111,7 +111,7 @@ def hunt(
                     stem = f"{target.name}-{mutator}-{seed}-{number}"
                     data = mutant(target, seed, number, mutator)
                     report.findings.append(write_finding(target, stem, number, data, outcome, folder))
-                if len(known) == MOST_FINDINGS:
+                if len(known) == MAX_FINDINGS:
                     return report
     return report
 

@@ -40,7 +40,10 @@ COLUMN_WORDS = (
 def mtmanager() -> dict[str, bytes]:
     """All orientations and separators."""
     forms = (("mat", "\t"), ("quat", ";"), ("euler", " "))
-    return {turns: mtmanager_text(KNOWN, turns=turns, separator=separator).encode() for turns, separator in forms}
+    return {
+        rotations: mtmanager_text(KNOWN, rotations=rotations, separator=separator).encode()
+        for rotations, separator in forms
+    }
 
 
 def dot() -> dict[str, bytes]:

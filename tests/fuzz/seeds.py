@@ -15,8 +15,8 @@ from kinedex.catalog.configs import config_names, config_path
 from kinedex.catalog.features import FeatureSet, load_feature_set
 from kinedex.catalog.keypoint_sets import load_keypoint_set
 from kinedex.catalog.skeletons.mappings import Mappings, load_mappings, load_skeleton
+from kinedex.storage.formats.labels.file_labels import Label, LabelsOfTake
 from kinedex.storage.formats.labels.formats import FORMATS
-from kinedex.storage.formats.labels.segments import Label, TakeLabels
 from kinedex.storage.formats.motion.body_models import BODY, HANDS
 from tests import osim_files, point_files, real_data
 from tests.bodies import STANDING, standing
@@ -244,27 +244,32 @@ def strange_c3d() -> dict[str, bytes]:
 
 def amass() -> dict[str, bytes]:
     """Joint angles as older and as newer files hold them."""
-    turns = np.random.default_rng(0).normal(0, 0.2, (4, 3 * len((*BODY, *HANDS))))
+    rotations = np.random.default_rng(0).normal(0, 0.2, (4, 3 * len((*BODY, *HANDS))))
     places, rate = np.zeros((4, 3)), np.array(60.0)
     old = {
-        "poses": turns,
+        "poses": rotations,
         "trans": places,
         "betas": np.zeros(16),
         "gender": np.array("female"),
         "mocap_framerate": rate,
     }
-    new = {"root_orient": turns[:, :3], "pose_body": turns[:, 3:66], "pose_hand": turns[:, 66:], "trans": places}
+    new = {
+        "root_orient": rotations[:, :3],
+        "pose_body": rotations[:, 3:66],
+        "pose_hand": rotations[:, 66:],
+        "trans": places,
+    }
     new |= {"mocap_frame_rate": rate, "gender": np.array(b"neutral")}
     return {"old": _zipped(old), "new": _zipped(new)}
 
 
 def angle_pickles() -> dict[str, bytes]:
     """Angles as AIST++ and as estimators have them, of protocols that a mutation leaves whole now and then."""
-    turns = np.random.default_rng(0).normal(0, 0.2, (4, 72))
-    aist = {"smpl_poses": turns, "smpl_scaling": np.array([93.0]), "smpl_trans": np.zeros((4, 3))}
+    rotations = np.random.default_rng(0).normal(0, 0.2, (4, 72))
+    aist = {"smpl_poses": rotations, "smpl_scaling": np.array([93.0]), "smpl_trans": np.zeros((4, 3))}
     parts = {
-        "global_orient": turns[:, None, :3],
-        "body_pose": turns[:, 3:].reshape(4, 23, 3),
+        "global_orient": rotations[:, None, :3],
+        "body_pose": rotations[:, 3:].reshape(4, 23, 3),
         "transl": np.zeros((4, 3)),
     }
     return {f"aist-{p}": pickle.dumps(aist, p) for p in (0, 2)} | {"parts": pickle.dumps(parts | {"fps": 30.0}, 4)}
@@ -319,9 +324,9 @@ def metadata_yaml() -> dict[str, bytes]:
     return {"mapping": by_take.encode(), "list": b"- {file: t0, n: 1}\n- {file: a/t1.bvh, n: 2.5, ok: true}\n"}
 
 
-def _labels() -> TakeLabels:
+def _labels() -> LabelsOfTake:
     made = (Label("walk", 0, 120, "walk", 0.1, 0.9), Label("kick & turn", 100, 200), Label("walk", 110, 300))
-    return TakeLabels("take <1>", 120.0, 400, made)
+    return LabelsOfTake("take <1>", 120.0, 400, made)
 
 
 def label_file(ending: str) -> dict[str, bytes]:

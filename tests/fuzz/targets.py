@@ -22,7 +22,7 @@ from kinedex.catalog.queries.query_writer import write_queries
 from kinedex.catalog.skeletons.mappings import load_skeleton
 from kinedex.ops.errors import KinedexError, SourceError
 from kinedex.pipelines.engine.config import load_pipeline
-from kinedex.pipelines.ingestion.analysis import analyse, blind
+from kinedex.pipelines.ingestion.analysis import analyse, unknown_feature_warnings
 from kinedex.pipelines.ingestion.metadata import load_metadata
 from kinedex.storage.formats.labels.formats import read_labels
 from kinedex.storage.formats.motion.body_models import load_body_model
@@ -133,15 +133,15 @@ def check_body(body: Body) -> None:
         positions = positions[:, :, body.valid]
     if not (np.abs(positions) <= 1.01 * FARTHEST_M).all():
         raise Broken("a position that is not finite, or out of bounds")
-    turns = np.linalg.norm(body.orientation, axis=0)
-    if not (np.isnan(turns) | (np.abs(turns - 1.0) < 1e-6)).all():
+    rotations = np.linalg.norm(body.orientation, axis=0)
+    if not (np.isnan(rotations) | (np.abs(rotations - 1.0) < 1e-6)).all():
         raise Broken("a turn that is no unit quaternion")
     if not SLOWEST_HZ <= body.rate_hz <= FASTEST_HZ or not body.frames:
         raise Broken(f"{body.frames} frames at {body.rate_hz} Hz")
     rows, _, words = analyse(body, feature_set, 30.0)
     if rows.shape[2] != len(words) or not 1 <= len(words) <= 30 * body.frames / body.rate_hz + 2:
         raise Broken(f"{body.frames} frames at {body.rate_hz} Hz became {len(words)}")
-    "\n".join([body.unit, body.skeleton, *body.warnings, *blind(feature_set, body)]).encode()
+    "\n".join([body.unit, body.skeleton, *body.warnings, *unknown_feature_warnings(feature_set, body)]).encode()
 
 
 def check_persons(path: Path) -> None:
@@ -191,7 +191,7 @@ def check_strange_bvh(path: Path) -> None:
     bvh = parse_bvh(path)
     if not np.isfinite(bvh.channels).all() or not SLOWEST_HZ <= bvh.rate_hz <= FASTEST_HZ:
         raise Broken("channels that are not finite, or a rate out of bounds")
-    if len(bvh.places) + len(bvh.redundant) != len(bvh.nodes):
+    if len(bvh.indices) + len(bvh.redundant) != len(bvh.nodes):
         raise Broken("two nodes of one name")
 
 

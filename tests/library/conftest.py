@@ -13,7 +13,7 @@ import polars as pl
 import pytest
 
 import kinedex
-from kinedex.pipelines.synth.archive import write_archive
+from kinedex.pipelines.simulation.synthetic_archive import write_archive
 
 PATIENCE_S = 600
 

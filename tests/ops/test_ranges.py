@@ -96,8 +96,8 @@ def test_ranges_around_hits_stay_within_their_takes(takes: list[list[list[tuple[
     for query in range(2):
         hits = [take[query][0] for take in drawn]
         starts, stops = (np.array([hit[side] for own in hits for hit in own], np.int64) for side in (0, 1))
-        places = np.cumsum([0, *map(len, hits)])
-        own = TakeRanges(places, np.stack([starts, stops], axis=1))
+        positions = np.cumsum([0, *map(len, hits)])
+        own = TakeRanges(positions, np.stack([starts, stops], axis=1))
         found.append(extend_and_unite(own.end_to_end(offsets), offsets, margin, 2))
         frames = {
             frame

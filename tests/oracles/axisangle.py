@@ -28,7 +28,7 @@ def _product(a: tuple[float, ...], b: tuple[float, ...]) -> np.ndarray:
     ])  # fmt: skip
 
 
-def pose(rest: np.ndarray, parents: list[int], turns: np.ndarray, place: np.ndarray) -> np.ndarray:
+def pose(rest: np.ndarray, parents: list[int], rotations: np.ndarray, place: np.ndarray) -> np.ndarray:
     """The joints (J, 3) of one frame: each one's offset is turned by its parent, that one's parent, and so on."""
     found = []
     for j, parent in enumerate(parents):
@@ -38,7 +38,7 @@ def pose(rest: np.ndarray, parents: list[int], turns: np.ndarray, place: np.ndar
         offset = rest[j] - rest[parent]
         above = parent
         while above >= 0:
-            offset = rotate(turns[above], offset)
+            offset = rotate(rotations[above], offset)
             above = parents[above]
         found.append(found[parent] + offset)
     return np.array(found)

@@ -63,11 +63,11 @@ def rotation(vector: np.ndarray) -> np.ndarray:
     return np.eye(3) + np.sin(angle) * cross + (1 - np.cos(angle)) * cross @ cross
 
 
-def turned(joints: np.ndarray, pose: np.ndarray, turns: np.ndarray, shift: np.ndarray) -> np.ndarray:
+def turned(joints: np.ndarray, pose: np.ndarray, rotations: np.ndarray, shift: np.ndarray) -> np.ndarray:
     """A pose with its pivots turned, the deepest first, and then moved."""
     pose = pose.copy()
     for k in reversed(range(len(joints))):
-        matrix = rotation(turns[k])
+        matrix = rotation(rotations[k])
         for j in range(len(pose)):
             if below(j, joints[k]):
                 pose[j] = pose[joints[k]] + matrix @ (pose[j] - pose[joints[k]])

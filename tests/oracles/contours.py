@@ -6,21 +6,21 @@ import numpy as np
 
 
 def surface(
-    one: np.ndarray, other: np.ndarray, radius: float, places: int, turns: int
+    one: np.ndarray, other: np.ndarray, radius: float, positions: int, rotations: int
 ) -> tuple[np.ndarray, np.ndarray]:
     """Return points (places, turns, 3) of the mantle of a capsule, and their unit normals."""
     axis = (other - one) / np.sqrt(((other - one) ** 2).sum())
     beside = np.cross(axis, np.eye(3)[np.argmin(np.abs(axis))])
     beside /= np.sqrt((beside**2).sum())
-    angles = np.arange(turns) * 2 * np.pi / turns
+    angles = np.arange(rotations) * 2 * np.pi / rotations
     normals = np.cos(angles)[:, None] * beside + np.sin(angles)[:, None] * np.cross(axis, beside)
-    centres = one + np.linspace(0, 1, places)[:, None] * (other - one)
-    return centres[:, None] + radius * normals, np.broadcast_to(normals, (places, turns, 3))
+    centres = one + np.linspace(0, 1, positions)[:, None] * (other - one)
+    return centres[:, None] + radius * normals, np.broadcast_to(normals, (positions, rotations, 3))
 
 
-def contour(one: np.ndarray, other: np.ndarray, radius: float, centre: np.ndarray, places: int) -> list[np.ndarray]:
+def contour(one: np.ndarray, other: np.ndarray, radius: float, centre: np.ndarray, positions: int) -> list[np.ndarray]:
     """Return, for each place of the axis, the points of the surface where the normal turns from the camera."""
-    points, normals = surface(one, other, radius, places, 20_000)
+    points, normals = surface(one, other, radius, positions, 20_000)
     facing = np.einsum("pti,pti->pt", normals, points - centre)
     return [row[np.flatnonzero(np.sign(f) != np.sign(np.roll(f, -1)))] for row, f in zip(points, facing, strict=True)]
 

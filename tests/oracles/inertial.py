@@ -48,14 +48,14 @@ def printed_log(q: Array) -> Array:
 
 def park_martin(sensor: Array, track: Array, pairs: list[tuple[int, int]]) -> tuple[Array, Array]:
     """Return the matrices of q_G and q_L as the thesis prints their solution (Eqs. 7.9 to 7.15)."""
-    turns = [
+    rotations = [
         (product(inverse(sensor[s]), sensor[t]), product(inverse(track[s]), track[t]),
          product(sensor[s], inverse(sensor[t])), product(track[s], inverse(track[t])))
         for s, t in pairs
     ]  # fmt: skip
     # q^A ∘ q^X = q^X ∘ q^B with q^X the conjugate of q^L, and of q^G in the dual equation
-    mount = _printed_solution([a for a, *_ in turns], [b for _, b, *_ in turns]).T
-    world = _printed_solution([c for *_, c, _ in turns], [d for *_, d in turns]).T
+    mount = _printed_solution([a for a, *_ in rotations], [b for _, b, *_ in rotations]).T
+    world = _printed_solution([c for *_, c, _ in rotations], [d for *_, d in rotations]).T
     return world, mount
 
 

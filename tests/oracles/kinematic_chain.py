@@ -28,12 +28,12 @@ def log(rotation: np.ndarray) -> np.ndarray:
     return scale * np.array([skew[2, 1], skew[0, 2], skew[1, 0]])
 
 
-def joints(body: ChainBody, place: np.ndarray, turns: np.ndarray) -> np.ndarray:
+def joints(body: ChainBody, place: np.ndarray, rotations: np.ndarray) -> np.ndarray:
     """The joints (J, 3) of one pose."""
     chain = body.chain
     world, centres = [], []
     for k, parent in enumerate(chain.parents):
-        world.append(turns[k] if parent < 0 else world[parent] @ turns[k])
+        world.append(rotations[k] if parent < 0 else world[parent] @ rotations[k])
         offset = body.offsets[chain.centres[k]]
         centres.append(place if parent < 0 else centres[parent] + world[parent] @ offset)
     return np.array([
@@ -42,20 +42,22 @@ def joints(body: ChainBody, place: np.ndarray, turns: np.ndarray) -> np.ndarray:
     ])  # fmt: skip
 
 
-def stepped(body: ChainBody, place: np.ndarray, turns: np.ndarray, step: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def stepped(
+    body: ChainBody, place: np.ndarray, rotations: np.ndarray, step: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
     """The pose after a step of its parameters."""
-    vectors = np.zeros((len(turns), 3))
+    vectors = np.zeros((len(rotations), 3))
     for axis, x in zip(body.chain.axes, step[3:], strict=True):
         vectors[axis.node, axis.direction] += axis.sign * x
-    return place + step[:3], np.array([turn @ exp(vector) for turn, vector in zip(turns, vectors, strict=True)])
+    return place + step[:3], np.array([turn @ exp(vector) for turn, vector in zip(rotations, vectors, strict=True)])
 
 
 def residuals(
-    body: ChainBody, place: np.ndarray, turns: np.ndarray, points: np.ndarray, sigma: float = 0.01
+    body: ChainBody, place: np.ndarray, rotations: np.ndarray, points: np.ndarray, sigma: float = 0.01
 ) -> np.ndarray:
     """All terms of a fit as one vector."""
-    found = [(joints(body, place, turns) - points)[np.isfinite(points)] / sigma]
-    logs = [log(turn) for turn in turns]
+    found = [(joints(body, place, rotations) - points)[np.isfinite(points)] / sigma]
+    logs = [log(turn) for turn in rotations]
     for axis in body.chain.axes:
         turn = axis.sign * logs[axis.node][axis.direction]
         found.append(np.array([turn / axis.pull, (turn - np.clip(turn, *axis.hinge)) / 0.05]))

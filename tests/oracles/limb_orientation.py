@@ -8,9 +8,9 @@ import numpy.typing as npt
 F64 = npt.NDArray[np.float64]
 
 
-def kabsch(shape: F64, places: F64) -> F64:
+def kabsch(shape: F64, positions: F64) -> F64:
     """Return the rotation that turns a shape (M, 3) best onto places (M, 3), by the eigenvector of Horn (1987)."""
-    a, b = shape - shape.mean(axis=0), places - places.mean(axis=0)
+    a, b = shape - shape.mean(axis=0), positions - positions.mean(axis=0)
     s = sum(np.outer(one, other) for one, other in zip(a, b, strict=True))
     n = np.empty((4, 4))
     n[0, 0] = np.trace(s)

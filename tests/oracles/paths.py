@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from kinedex.ops.arrays import F64, I64, U64
-from kinedex.ops.distances.costs import cost_table, encode, lay_out
+from kinedex.ops.distances.costs import column_layout, cost_table, encode
 from kinedex.ops.templates.templates import QuantisedTemplate
 
 
@@ -15,7 +15,7 @@ def best_paths(template: QuantisedTemplate, words: U64, ends: I64, ranges: I64 |
     Among equally cheap paths the one is taken that, read from its end, prefers (1,1), then (1,2), then (2,1).
     """
     coded = encode(words)
-    costs = cost_table(lay_out([template]), coded.vocabulary)[coded.codes, : len(template)]
+    costs = cost_table(column_layout([template]), coded.vocabulary)[coded.codes, : len(template)]
     starts, distances = np.full(len(ends), -1), np.full(len(ends), np.inf)
     for begin, stop in [(0, len(words))] if ranges is None else ranges.tolist():
         sums = _sums(costs[begin:stop])

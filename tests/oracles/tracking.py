@@ -7,16 +7,16 @@ from collections.abc import Callable
 import numpy as np
 
 from kinedex.ops.body.kinematic_chain import ChainBody, Poses
-from kinedex.ops.tracking.observations import BodyPoints, Places, PriorTerms, Rays
+from kinedex.ops.tracking.observations import BodyPoints, JointPositions, PriorTerms, Rays
 from tests.oracles.kinematic_chain import joints, log, stepped
 
 
-def body_points(body: ChainBody, points: BodyPoints, place: np.ndarray, turns: np.ndarray) -> np.ndarray:
+def body_points(body: ChainBody, points: BodyPoints, place: np.ndarray, rotations: np.ndarray) -> np.ndarray:
     """The points (P, 3) of one pose."""
     chain = body.chain
     world, centres = [], []
     for k, parent in enumerate(chain.parents):
-        world.append(turns[k] if parent < 0 else world[parent] @ turns[k])
+        world.append(rotations[k] if parent < 0 else world[parent] @ rotations[k])
         offset = body.offsets[chain.centres[k]]
         centres.append(place if parent < 0 else centres[parent] + world[parent] @ offset)
     return np.array([
@@ -24,17 +24,17 @@ def body_points(body: ChainBody, points: BodyPoints, place: np.ndarray, turns: n
     ])  # fmt: skip
 
 
-def ray_depths(rays: Rays, t: int, places: np.ndarray) -> np.ndarray:
+def ray_depths(rays: Rays, t: int, positions: np.ndarray) -> np.ndarray:
     """The depths (V, P) of points in the cameras."""
-    gaps = places[None] - rays.centres[:, None]
+    gaps = positions[None] - rays.centres[:, None]
     return np.maximum(0.3, (gaps * rays.directions[t]).sum(axis=2))
 
 
 def ray_residuals(
-    rays: Rays, t: int, places: np.ndarray, depths: np.ndarray, sigma_px: float, width: float
+    rays: Rays, t: int, positions: np.ndarray, depths: np.ndarray, sigma_px: float, width: float
 ) -> np.ndarray:
     """The residuals of all rays of a frame: conf · e / (depth · σ_px / f) / √(1 + r²/c²)."""
-    gaps = places[None] - rays.centres[:, None]
+    gaps = positions[None] - rays.centres[:, None]
     n = rays.directions[t]
     e = gaps - (gaps * n).sum(axis=2, keepdims=True) * n
     e = e / (depths * sigma_px / rays.focal_px[:, None])[:, :, None]
@@ -43,15 +43,15 @@ def ray_residuals(
     return (confidence * e / np.sqrt(1 + square / width**2)).ravel()
 
 
-def place_residuals(observed: Places, t: int, places: np.ndarray, width: float) -> np.ndarray:
+def place_residuals(observed: JointPositions, t: int, positions: np.ndarray, width: float) -> np.ndarray:
     """The residuals of the places of a frame."""
-    e = np.nan_to_num((places - observed.places[t]) / observed.sigma_m[t][:, None])
+    e = np.nan_to_num((positions - observed.positions[t]) / observed.sigma_m[t][:, None])
     return (e / np.sqrt(1 + (e**2).sum(axis=1, keepdims=True) / width**2)).ravel()
 
 
-def rest_residuals(body: ChainBody, turns: np.ndarray) -> np.ndarray:
+def rest_residuals(body: ChainBody, rotations: np.ndarray) -> np.ndarray:
     """The pulls to rest and the hinges of a frame."""
-    logs = [log(turn) for turn in turns]
+    logs = [log(turn) for turn in rotations]
     found = []
     for axis in body.chain.axes:
         turn = axis.sign * logs[axis.node][axis.direction]
@@ -59,14 +59,16 @@ def rest_residuals(body: ChainBody, turns: np.ndarray) -> np.ndarray:
     return np.array(found)
 
 
-def prior_residuals(body: ChainBody, priors: PriorTerms, t: int, place: np.ndarray, turns: np.ndarray) -> np.ndarray:
+def prior_residuals(
+    body: ChainBody, priors: PriorTerms, t: int, place: np.ndarray, rotations: np.ndarray
+) -> np.ndarray:
     """The terms of priors of a frame."""
     found = []
     for axis in body.chain.axes:
-        vector = log(priors.turn_targets[t, axis.node].T @ turns[axis.node])
+        vector = log(priors.turn_targets[t, axis.node].T @ rotations[axis.node])
         found.append(np.sqrt(priors.turn_weights[t, axis.node, axis.direction]) * vector[axis.direction])
-    found += list(np.sqrt(priors.tilt_weights[t]) * (turns[0].T @ [0, 1, 0] - priors.tilt_targets[t]))
-    at = joints(body, place, turns)
+    found += list(np.sqrt(priors.tilt_weights[t]) * (rotations[0].T @ [0, 1, 0] - priors.tilt_targets[t]))
+    at = joints(body, place, rotations)
     for n in np.flatnonzero(priors.place_frames == t):
         excess = priors.place_directions[n] @ at[priors.place_joints[n]] - priors.place_targets[n]
         found.append(np.sqrt(priors.place_weights[n]) * excess)
@@ -75,11 +77,11 @@ def prior_residuals(body: ChainBody, priors: PriorTerms, t: int, place: np.ndarr
 
 def difference_residuals(body: ChainBody, poses: Poses, t: int, rate_hz: float) -> np.ndarray:
     """The second differences at a frame that has one before and one after."""
-    p, turns = poses
+    p, rotations = poses
     found = list((p[t + 1] - 2 * p[t] + p[t - 1]) * rate_hz**2 / 8.0)
     for axis in body.chain.axes:
-        one = log(turns[t - 1, axis.node].T @ turns[t, axis.node])
-        two = log(turns[t, axis.node].T @ turns[t + 1, axis.node])
+        one = log(rotations[t - 1, axis.node].T @ rotations[t, axis.node])
+        two = log(rotations[t, axis.node].T @ rotations[t + 1, axis.node])
         found.append((two - one)[axis.direction] * rate_hz**2 / 60.0)
     return np.array(found)
 
@@ -94,20 +96,20 @@ def jacobian(body: ChainBody, poses: Poses, rate_hz: float, triples: np.ndarray,
 
     `own` are the residuals of one frame by its pose.
     """
-    frames, size = len(poses.places), body.chain.parameters
+    frames, size = len(poses.positions), body.chain.parameters
 
     def moved(t: int, step: np.ndarray) -> Poses:
-        places, turns = poses.places.copy(), poses.turns.copy()
-        places[t], turns[t] = stepped(body, places[t], turns[t], step)
-        return Poses(places, turns)
+        positions, rotations = poses.positions.copy(), poses.rotations.copy()
+        positions[t], rotations[t] = stepped(body, positions[t], rotations[t], step)
+        return Poses(positions, rotations)
 
     rows, residuals = [], []
     for t in range(frames):
-        residuals.append(own(t, poses.places[t], poses.turns[t]))
+        residuals.append(own(t, poses.positions[t], poses.rotations[t]))
         rows.append(np.zeros((len(residuals[-1]), frames * size)))
         for d in range(size):
             step = 1e-6 * np.eye(size)[d]
-            one, two = (own(t, *stepped(body, poses.places[t], poses.turns[t], s)) for s in (step, -step))
+            one, two = (own(t, *stepped(body, poses.positions[t], poses.rotations[t], s)) for s in (step, -step))
             rows[-1][:, t * size + d] = (one - two) / 2e-6
         if not triples[t]:
             continue

@@ -13,12 +13,12 @@ HIPS = [["lhip", "rhip"], ["root"], ["belly"]]
 FEET = [["lankle", "rankle"], ["ltoes", "rtoes"], ["lknee", "rknee"]]
 
 
-def up_axis(places: Mapping[str, np.ndarray], rest: Mapping[str, np.ndarray] | None = None) -> tuple[str, float]:
+def up_axis(positions: Mapping[str, np.ndarray], rest: Mapping[str, np.ndarray] | None = None) -> tuple[str, float]:
     """The axis, empty where unsure, and the confidence."""
-    postures = [found for found in (_posture(places, t) for t in range(_frames(places))) if found]
+    postures = [found for found in (_posture(positions, t) for t in range(_frames(positions))) if found]
     if not postures:
         return "", 0.0
-    spread = _spread(places) if any(all(name in places for name in names) for names in FEET) else None
+    spread = _spread(positions) if any(all(name in positions for name in names) for names in FEET) else None
     stood = _posture({name: np.reshape(place, (3, 1)) for name, place in rest.items()}, 0) if rest else None
     share = [sum(posture[axis] for posture in postures) / len(postures) for axis in range(6)]
     stance = [share[axis] + (0.7 * stood[axis] if stood else 0.0) for axis in range(6)]
@@ -42,12 +42,12 @@ def _ground(spread: list[float], axis: int) -> float:
     return min(max((travel - spread[axis]) / 0.08, 0.0), 1.0) * max(1.0 - spread[axis] / 0.15, 0.0)
 
 
-def _frames(places: Mapping[str, np.ndarray]) -> int:
-    return next(iter(places.values())).shape[1] if places else 0
+def _frames(positions: Mapping[str, np.ndarray]) -> int:
+    return next(iter(positions.values())).shape[1] if positions else 0
 
 
-def _posture(places: Mapping[str, np.ndarray], frame: int) -> list[float] | None:
-    hips, head, feet = (_middle(places, choices, frame) for choices in (HIPS, HEADS, FEET))
+def _posture(positions: Mapping[str, np.ndarray], frame: int) -> list[float] | None:
+    hips, head, feet = (_middle(positions, choices, frame) for choices in (HIPS, HEADS, FEET))
     if hips is None or (head is None and feet is None):
         return None
     votes = []
@@ -65,12 +65,12 @@ def _posture(places: Mapping[str, np.ndarray], frame: int) -> list[float] | None
     return votes
 
 
-def _middle(places: Mapping[str, np.ndarray], choices: list[list[str]], frame: int) -> list[float] | None:
+def _middle(positions: Mapping[str, np.ndarray], choices: list[list[str]], frame: int) -> list[float] | None:
     for names in choices:
-        if all(name in places for name in names):
+        if all(name in positions for name in names):
             middle = []
             for k in range(3):
-                seen = [float(places[name][k, frame]) for name in names if not math.isnan(places[name][k, frame])]
+                seen = [float(positions[name][k, frame]) for name in names if not math.isnan(positions[name][k, frame])]
                 middle.append(sum(seen) / len(seen) if seen else math.nan)
             return middle
     return None
@@ -81,17 +81,17 @@ def _cosine(vector: list[float], axis: int) -> float:
     return (vector[axis % 3] if axis < 3 else -vector[axis % 3]) / length if length else math.nan
 
 
-def _spread(places: Mapping[str, np.ndarray]) -> list[float] | None:
+def _spread(positions: Mapping[str, np.ndarray]) -> list[float] | None:
     """Of the lowest point along each axis, and of the hips along x, y and z."""
-    hips = [_middle(places, HIPS, t) for t in range(_frames(places))]
+    hips = [_middle(positions, HIPS, t) for t in range(_frames(positions))]
     whole = [
         t
         for t, middle in enumerate(hips)
-        if np.isfinite(middle or [0.0]).all() and all(np.isfinite(place[:, t]).all() for place in places.values())
+        if np.isfinite(middle or [0.0]).all() and all(np.isfinite(place[:, t]).all() for place in positions.values())
     ]
     if len(whole) < 3:
         return None
-    heights = [[[float(place[k, t]) for place in places.values()] for k in range(3)] for t in whole]
+    heights = [[[float(place[k, t]) for place in positions.values()] for k in range(3)] for t in whole]
     size = float(np.median([math.sqrt(sum((max(row) - min(row)) ** 2 for row in frame)) for frame in heights]))
     if not 0 < size < math.inf:
         return None

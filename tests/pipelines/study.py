@@ -8,7 +8,17 @@ from html.parser import HTMLParser
 import numpy as np
 
 from kinedex.ops.intervals import TakeSegment
-from kinedex.reports.data import Curve, Failure, FeatureNames, HitCount, ReportData, Score, StageRow, TakeRow, Template
+from kinedex.reports.report_data import (
+    Curve,
+    Failure,
+    FeatureNames,
+    HitCount,
+    ReportData,
+    Score,
+    StageRow,
+    TakeRow,
+    Template,
+)
 
 MOMENT = datetime(2026, 11, 21, 4, 27, tzinfo=UTC)
 FRAMES = 90

@@ -15,8 +15,14 @@ from kinedex.ops.errors import KinedexError
 from kinedex.ops.evaluation.detection import bootstrap
 from kinedex.ops.evaluation.metrics import Counts
 from kinedex.pipelines.evaluation.annotation_scores import Evaluation, Row, write_metrics
-from kinedex.pipelines.evaluation.differences import _difference_of, compared, content, markdown, without_repeats
-from kinedex.pipelines.evaluation.written_evaluations import MethodEvaluation, pairs, read_run
+from kinedex.pipelines.evaluation.differences import (
+    _difference_of,
+    compare_evaluations,
+    comparisons_json,
+    markdown,
+    without_repeats,
+)
+from kinedex.pipelines.evaluation.written_evaluations import MethodEvaluation, paired_evaluations, read_evaluations
 from kinedex.reports.methods_page import comparison_page
 from kinedex.storage.snapshot.manifest import StageRecord
 from kinedex.storage.store.writer import StoreWriter
@@ -52,7 +58,7 @@ def study_file(path: Path, **methods: dict[str, int]) -> Path:
 
 
 def test_takes_are_sorted_into_better_worse_and_same() -> None:
-    one = compared(scored(x=5, y=5, z=5), scored(x=9, y=4, z=5), ("A", "B"))
+    one = compare_evaluations(scored(x=5, y=5, z=5), scored(x=9, y=4, z=5), ("A", "B"))
     assert {change.name: change.verdict for change in one.takes} == {"x": "better", "y": "worse", "z": "same"}
     assert one.overall.by == pytest.approx((0.1, 0.1))
     assert [change.name for change in one.changed(one.takes, "better")] == ["x"]
@@ -60,7 +66,7 @@ def test_takes_are_sorted_into_better_worse_and_same() -> None:
 
 
 def test_only_takes_that_both_have_count() -> None:
-    one = compared(scored(x=5, y=0), scored(x=7, z=10), ("A", "B"))
+    one = compare_evaluations(scored(x=5, y=0), scored(x=7, z=10), ("A", "B"))
     assert one.overall.by == pytest.approx((0.2, 0.2))
     assert (one.only_a.takes, one.only_b.takes, one.common) == (("y",), ("z",), 1)
     assert "takes of A alone, excluded: y" in markdown([one])
@@ -70,54 +76,61 @@ def test_labels_in_vain_are_worse_than_none() -> None:
     silent, vain = Counts(), Counts(0, 30, 0, 0, 3, 0, 0)
     a = MethodEvaluation("e", "", counts(5) + silent, {"walk": counts(5), "hop": silent}, {"x": counts(5), "y": silent})
     b = MethodEvaluation("e", "", counts(5) + vain, {"walk": counts(5), "hop": vain}, {"x": counts(5), "y": vain})
-    one = compared(a, b, ("A", "B"))
+    one = compare_evaluations(a, b, ("A", "B"))
     assert {change.name: change.verdict for change in one.takes} == {"x": "same", "y": "worse"}
     assert {change.name: change.verdict for change in one.classes} == {"walk": "same", "hop": "worse"}
     assert one.takes[1].by == (None, None)
-    assert {change.name: change.verdict for change in compared(b, a, ("B", "A")).takes}["y"] == "better"
+    assert {change.name: change.verdict for change in compare_evaluations(b, a, ("B", "A")).takes}["y"] == "better"
     for text in (markdown([one]), Reading(comparison_page([one])).text):
         assert "Worse: 1 of 2 takes" in text
-    alone = compared(*(MethodEvaluation("e", "", each, {}, {"y": each}) for each in (silent, vain)), ("A", "B"))
+    alone = compare_evaluations(
+        *(MethodEvaluation("e", "", each, {}, {"y": each}) for each in (silent, vain)), ("A", "B")
+    )
     assert alone.verdict.startswith(
         "F (frames) is worse: B labels what is not there, the other one nothing; F (segments) is worse"
     )
-    assert json.loads(json.dumps(content([alone]), allow_nan=False))["comparisons"][0]["overall"]["by"] == [None, None]
+    assert json.loads(json.dumps(comparisons_json([alone]), allow_nan=False))["comparisons"][0]["overall"]["by"] == [
+        None,
+        None,
+    ]
 
 
 def test_runs_without_a_common_take_are_not_compared() -> None:
-    one = compared(scored(x=5, y=4), scored(z=9), ("A", "B"))
+    one = compare_evaluations(scored(x=5, y=4), scored(z=9), ("A", "B"))
     assert one.verdict == "no take in common, so neither is better or worse"
     assert (one.classes, one.takes, one.only_a.takes, one.only_b.takes) == ((), (), ("x", "y"), ("z",))
     for text in (markdown([one]), Reading(comparison_page([one])).text):
         assert "no take in common" in text
         assert "ach over its own takes" in text
         assert "better:" not in text.lower()
-    assert content([one])["comparisons"][0]["common_takes"] == 0
+    assert comparisons_json([one])["comparisons"][0]["common_takes"] == 0
 
 
 def test_other_ground_truth_is_noticed() -> None:
     a, b = scored(x=5, y=5), scored(x=5, y=5)
     more = b.takes["y"] + Counts(0, 0, 4, 0, 0, 0, 1)
     b = replace(b, takes={**b.takes, "y": more}, classes={"walk": b.classes["walk"] + Counts(0, 0, 4, 0, 0, 0, 1)})
-    one = compared(a, b, ("A", "B"))
+    one = compare_evaluations(a, b, ("A", "B"))
     assert (one.other_truth.takes, one.other_truth.classes) == (("y",), ("walk",))
     assert one.verdict.endswith("but A and B were judged against different ground truth")
     assert "takes whose manual labels are not the same in A and B: y" in markdown([one])
-    assert compared(a, a, ("A", "A")).other_truth.takes == ()
+    assert compare_evaluations(a, a, ("A", "A")).other_truth.takes == ()
 
 
 def test_what_is_to_be_found_on_one_side_only_cannot_be_compared() -> None:
-    one = compared(*(MethodEvaluation("e", "", each, {}, {"x": each}) for each in (Counts(), counts(5))), ("A", "B"))
+    one = compare_evaluations(
+        *(MethodEvaluation("e", "", each, {}, {"x": each}) for each in (Counts(), counts(5))), ("A", "B")
+    )
     assert one.takes[0].verdict == "incomparable"
     assert one.verdict.startswith("F (frames) is undefined in A; F (segments) is undefined in A; but A and B")
     assert "Incomparable: 1 of 1 takes" in markdown([one])
 
 
 def test_what_is_better_on_every_take_is_no_chance() -> None:
-    sure = compared(scored(a=5, b=5, c=6, d=5), scored(a=8, b=9, c=9, d=8), ("A", "B"))
+    sure = compare_evaluations(scored(a=5, b=5, c=6, d=5), scored(a=8, b=9, c=9, d=8), ("A", "B"))
     assert sure.intervals["f1"][0] > 0
     assert "chance" not in sure.verdict
-    unsure = compared(scored(a=5, b=5, c=6, d=5), scored(a=9, b=2, c=9, d=4), ("A", "B"))
+    unsure = compare_evaluations(scored(a=5, b=5, c=6, d=5), scored(a=9, b=2, c=9, d=4), ("A", "B"))
     assert unsure.verdict.startswith("F (frames) is better by 0.075")
     assert "which may be chance" in unsure.verdict
 
@@ -127,7 +140,7 @@ def test_settings_that_differ_are_said() -> None:
         replace(scored(x=5), settings={"name": name, "method": name, "tau": 0.13, "queries": queries})
         for name, queries in (("thesis", None), ("best", ["mine.yaml"]))
     )
-    one = compared(ours, theirs, ("A", "B"))
+    one = compare_evaluations(ours, theirs, ("A", "B"))
     assert one.settings == (("method", "thesis", "best"), ("queries", None, ["mine.yaml"]))
     assert "- method: thesis in A, best in B" in markdown([one])
     assert 'queries: not set in A, ["mine.yaml"] in B' in Reading(comparison_page([one])).text
@@ -139,13 +152,13 @@ def test_thresholds_that_do_not_matter_are_not_said() -> None:
         replace(scored(x=5), settings={"method": "best", "tau": tau, "tau_by_class": {}, "delta": tau})
         for tau in (0.13, 0.06)
     )
-    assert compared(ours, theirs, ("A", "B")).settings == (("delta", 0.13, 0.06),)
+    assert compare_evaluations(ours, theirs, ("A", "B")).settings == (("delta", 0.13, 0.06),)
 
 
 def test_the_same_comparison_is_shown_once() -> None:
-    one = compared(scored(x=5), scored(x=7), ("plain (a)", "plain (b)"))
+    one = compare_evaluations(scored(x=5), scored(x=7), ("plain (a)", "plain (b)"))
     again = replace(one, a="held out (a)", b="held out (b)")
-    other = compared(scored(x=5), scored(x=8), ("plain (a)", "plain (b)"))
+    other = compare_evaluations(scored(x=5), scored(x=8), ("plain (a)", "plain (b)"))
     found = without_repeats([one, again, other])
     assert [(found.a, found.overall) for found in found] == [
         ("plain (a); held out (a)", one.overall),
@@ -165,31 +178,34 @@ def test_a_class_that_goes_up_in_frames_and_down_in_segments_is_mixed() -> None:
     b = MethodEvaluation(
         "e", "", Counts(), {"walk": Counts(7, 10, 10, 6, 10, 6, 10), "jump": Counts(1, 1, 1, 1, 1, 1, 1)}, {}
     )
-    one = compared(a, b, ("A", "B"))
+    one = compare_evaluations(a, b, ("A", "B"))
     assert [(change.name, change.verdict) for change in one.classes] == [("walk", "mixed")]
     assert one.overall.f1 == (None, None)
     assert one.only_b.classes == ("jump",)
     assert "classes of B alone, not compared: jump" in markdown([one])
-    assert json.loads(json.dumps(content([one]), allow_nan=False))["comparisons"][0]["intervals"]["f1"] == [None, None]
+    assert json.loads(json.dumps(comparisons_json([one]), allow_nan=False))["comparisons"][0]["intervals"]["f1"] == [
+        None,
+        None,
+    ]
 
 
 def test_the_same_method_of_two_stores_is_compared(tmp_path: Path) -> None:
     study_file(tmp_path / "a/results/reports/p/methods.json", thesis={"x": 5}, best={"x": 8})
     study_file(tmp_path / "b/results/reports/p/methods.json", thesis={"x": 6}, other={"x": 9})
-    found = pairs(read_run(str(tmp_path / "a")), read_run(str(tmp_path / "b")))
+    found = paired_evaluations(read_evaluations(str(tmp_path / "a")), read_evaluations(str(tmp_path / "b")))
     assert [(one.name, other.name) for one, other in found] == [("split: thesis", "split: thesis")]
 
 
 def test_two_methods_of_one_store_are_compared(tmp_path: Path) -> None:
     file = study_file(tmp_path / "methods.json", thesis={"x": 5}, best={"x": 8})
-    ((one, other),) = pairs(read_run(f"{file}::thesis"), read_run(f"{file}::best"))
+    ((one, other),) = paired_evaluations(read_evaluations(f"{file}::thesis"), read_evaluations(f"{file}::best"))
     assert (one.method, other.method) == ("thesis", "best")
 
 
 def test_metrics_of_the_stage_evaluate_are_read(tmp_path: Path) -> None:
     rows = (Row("pooled", "all", counts(5)), Row("take", "x", counts(5)), Row("class", "walk", counts(5)))
     write_metrics(tmp_path / "metrics.json", Evaluation("annotate", rows), "run")
-    (found,) = read_run(str(tmp_path)).found
+    (found,) = read_evaluations(str(tmp_path)).found
     assert found == MethodEvaluation("annotate", "", counts(5), {"walk": counts(5)}, {"x": counts(5)})
 
 
@@ -212,7 +228,7 @@ def test_what_cannot_be_compared_is_said(tmp_path: Path, a: str, b: str, split: 
     (tmp_path / "broken.json").write_text("{", encoding="utf-8")
     (tmp_path / "other.json").write_text("[1]", encoding="utf-8")
     with pytest.raises(KinedexError, match=message):
-        pairs(read_run(str(tmp_path / a)), read_run(str(tmp_path / b)), split)
+        paired_evaluations(read_evaluations(str(tmp_path / a)), read_evaluations(str(tmp_path / b)), split)
 
 
 def test_of_a_store_with_reports_of_two_pipelines_the_current_one_is_meant(tmp_path: Path) -> None:
@@ -227,14 +243,14 @@ def test_of_a_store_with_reports_of_two_pipelines_the_current_one_is_meant(tmp_p
         writer.commit()
 
     def read(names: str) -> set[str]:
-        return {f"{one.method} {one.pooled.frames_both}" for one in read_run(f"{store}{names}").found}
+        return {f"{one.method} {one.pooled.frames_both}" for one in read_evaluations(f"{store}{names}").found}
 
     assert read("") == {"best 7", "q 1"}
-    assert "pipeline q; `" in str(read_run(str(store)).remark)
+    assert "pipeline q; `" in str(read_evaluations(str(store)).remark)
     assert (read("::p"), read("::p::best"), read("::best"), read("::q")) == (
         {"best 8", "q 1"}, {"best 8"}, {"best 7"}, {"q 1"},
     )  # fmt: skip
-    assert read_run(f"{store}::p").remark is None
+    assert read_evaluations(f"{store}::p").remark is None
     with pytest.raises(KinedexError, match="no method or pipeline 'pp'; did you mean 'p'"):
         read("::pp")
 
@@ -257,7 +273,7 @@ def test_the_command_shows_and_writes_what_changed(tmp_path: Path) -> None:
 
 
 def test_the_page_stands_alone() -> None:
-    text = comparison_page([compared(scored(x=5), scored(x=9), ("<A>", "B"))])
+    text = comparison_page([compare_evaluations(scored(x=5), scored(x=9), ("<A>", "B"))])
     reading = Reading(text)
     assert reading.references == []
     assert "B against <A>" in reading.text

@@ -14,7 +14,7 @@ import pytest
 from kinedex.catalog.skeletons.mappings import load_skeleton
 from kinedex.ops.body import features, kinematics
 from kinedex.ops.errors import ConfigError, KinedexError
-from kinedex.pipelines.ingestion import read_rounds
+from kinedex.pipelines.ingestion import read_passes
 from kinedex.pipelines.stages.ingest import Ingest
 from kinedex.storage.formats.motion.acclaim import AmcFile
 from kinedex.storage.formats.motion.asf import read_asf
@@ -287,7 +287,7 @@ def test_what_a_path_says_becomes_columns(tmp_path: Path) -> None:
 
 
 def bring_in_bit_by_bit(store: Path, source: Path) -> None:
-    read_rounds.MEGABYTE = 1 << 12
+    read_passes.MEGABYTE = 1 << 12
     bring_in(store, source, batch_mb=4)
 
 

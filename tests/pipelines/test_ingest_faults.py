@@ -18,7 +18,7 @@ from kinedex.commands.cli import app
 from kinedex.ops.errors import KinedexError, StoreError
 from kinedex.pipelines.engine.executors import SerialExecutor, WorkerDied
 from kinedex.pipelines.ingestion import file_batches as reading
-from kinedex.pipelines.ingestion import read_rounds
+from kinedex.pipelines.ingestion import read_passes
 from kinedex.pipelines.stages.ingest import Ingest
 from kinedex.storage.formats.motion.reader import Body
 from kinedex.storage.formats.motion.reader_table import read_body
@@ -44,7 +44,7 @@ def store(tmp_path: Path) -> Path:
 
 @pytest.fixture
 def a_batch_per_file(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(read_rounds, "MEGABYTE", 1)
+    monkeypatch.setattr(read_passes, "MEGABYTE", 1)
 
 
 def bring_in(store: Path, source: Path, executor: SerialExecutor | None = None, **params: Any) -> dict[str, object]:
@@ -128,13 +128,13 @@ def test_a_file_that_kills_every_worker_is_found_and_logged_and_the_rest_comes_i
 def test_a_file_that_vanishes_after_the_listing_is_logged(
     store: Path, source: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    really = read_rounds.run_batches
+    really = read_passes.run_batches
 
     def vanish(*rest: Any) -> Any:
         (source / "x_1.amc").unlink()
         return really(*rest)
 
-    monkeypatch.setattr(read_rounds, "run_batches", vanish)
+    monkeypatch.setattr(read_passes, "run_batches", vanish)
     assert bring_in(store, source)["takes"] == 4
     (row,) = log(store)
     assert "x_1.amc: cannot be read: No such file or directory" in row["message"]

@@ -15,8 +15,8 @@ from kinedex.catalog.skeletons.mappings import load_skeleton
 from kinedex.console.terminal import Terminal
 from kinedex.ops.errors import KinedexError
 from kinedex.ops.words import ALL_KNOWN
-from kinedex.pipelines.export.export import export_take
-from kinedex.pipelines.export.request import How
+from kinedex.pipelines.export.data_set import export_take
+from kinedex.pipelines.export.request import ClipOptions
 from kinedex.pipelines.stages.ingest import Ingest
 from kinedex.storage.formats.motion.body_models import BODY
 from kinedex.storage.snapshot.parts import joint_positions
@@ -159,7 +159,7 @@ def test_a_take_that_was_exported_comes_back(
     store = open_store(tmp_path / "store")
     (tmp_path / "out").mkdir()
     for take in ("wave", "x_1"):
-        export_take(store, take, How(form, joints=True), tmp_path / "out" / f"{take}.{form}")
+        export_take(store, take, ClipOptions(form, joints=True), tmp_path / "out" / f"{take}.{form}")
     (tmp_path / "out" / "ground_truth.csv").write_text("take,class,start,stop\n")
     assert bring_in(tmp_path / "again", tmp_path / "out", rate_hz=30.0)[0]["left_out"] == 0
     again = open_store(tmp_path / "again")

@@ -13,8 +13,8 @@ from rich.console import Console
 from kinedex.console.terminal import Terminal
 from kinedex.ops.errors import KinedexError
 from kinedex.pipelines.engine.runner import Outcome, run_pipeline
-from kinedex.pipelines.export.export import export_take
-from kinedex.pipelines.export.request import How
+from kinedex.pipelines.export.data_set import export_take
+from kinedex.pipelines.export.request import ClipOptions
 from kinedex.storage.store.store import open_store
 from kinedex.storage.store.verification import verify
 from tests.c3d_files import LABELS, standing_markers, write_c3d, z_up
@@ -99,12 +99,12 @@ def test_a_take_with_invalid_frames_is_exported_as_tables_and_as_bvh_with_its_ga
     run("ingest", open_gaps, source=str(archive))
     run("ingest", closed, source=str(archive), ingest__fill_gap_frames="60")
     with pytest.raises(KinedexError, match=r"is invalid in 15 of its 180 frames, where lelbow"):
-        export_take(open_store(open_gaps), TAKE, How("bvh"), tmp_path / "a.bvh")
+        export_take(open_store(open_gaps), TAKE, ClipOptions("bvh"), tmp_path / "a.bvh")
     assert not (tmp_path / "a.bvh").exists()
-    export_take(open_store(closed), TAKE, How("bvh"), tmp_path / "a.bvh")
+    export_take(open_store(closed), TAKE, ClipOptions("bvh"), tmp_path / "a.bvh")
     assert "Frames: 180" in (tmp_path / "a.bvh").read_text()
-    export_take(open_store(open_gaps), TAKE, How("csv"), tmp_path / "a.csv")
+    export_take(open_store(open_gaps), TAKE, ClipOptions("csv"), tmp_path / "a.csv")
     lines = (tmp_path / "a.csv").read_text().splitlines()
     assert [number - 1 for number, line in enumerate(lines) if "nan" in line] == list(INVALID)
-    export_take(open_store(open_gaps), TAKE, How("parquet"), tmp_path / "a.parquet")
+    export_take(open_store(open_gaps), TAKE, ClipOptions("parquet"), tmp_path / "a.parquet")
     assert pq.read_table(tmp_path / "a.parquet").column("word").null_count == len(INVALID)

@@ -12,7 +12,7 @@ from rich.console import Console
 
 from kinedex.commands.demo import Demo, run_demo
 from kinedex.pipelines.engine.runner import Outcome
-from kinedex.pipelines.search.search import load_query_file, search_store
+from kinedex.pipelines.keyframes.store_search import load_query_file, search_store
 from kinedex.storage.store.store import open_store
 from kinedex.storage.store.verification import verify
 

@@ -18,13 +18,13 @@ from kinedex.ops.evaluation.metrics import Counts
 from kinedex.ops.intervals import TakeSegment
 from kinedex.pipelines.engine.config import load_pipeline
 from kinedex.pipelines.engine.runner import run_pipeline
-from kinedex.pipelines.evaluation import grid
+from kinedex.pipelines.evaluation import comparison_cells
+from kinedex.pipelines.evaluation.comparison_parameters import METRICS, Method, Split
+from kinedex.pipelines.evaluation.comparison_results import SplitResult, Study
+from kinedex.pipelines.evaluation.comparison_tables import overview
 from kinedex.pipelines.evaluation.folds import Fold, TestTake
-from kinedex.pipelines.evaluation.method_scores import chosen_takes, joined, judge, segment_outcomes
-from kinedex.pipelines.evaluation.scheme import METRICS, Method, Split
-from kinedex.pipelines.evaluation.study import SplitResult, Study
-from kinedex.pipelines.evaluation.tables import overview
-from kinedex.pipelines.keyframes import runs as keyframe_runs
+from kinedex.pipelines.evaluation.method_scores import chosen_takes, joined_segments, score_method, segment_outcomes
+from kinedex.pipelines.keyframes import learning_runs as keyframe_runs
 from kinedex.pipelines.stages.compare_methods import CompareMethods
 from kinedex.pipelines.stages.evaluate import Evaluate
 from kinedex.pipelines.stages.learn_keyframes import LearnKeyframes
@@ -130,8 +130,10 @@ def test_a_fixed_split_refuses_to_annotate_what_it_learned_from(line: Comparing)
 def test_finished_cells_are_kept_and_not_done_again(line: Comparing, monkeypatch: pytest.MonkeyPatch) -> None:
     first = line.compare([THESIS], [{"name": "eve"}, LEFT_OUT])
     done: list[str] = []
-    real = grid.annotate_task
-    monkeypatch.setattr(grid, "annotate_task", lambda task: done.append(task.test_takes[0].name) or real(task))
+    real = comparison_cells.annotate_task
+    monkeypatch.setattr(
+        comparison_cells, "annotate_task", lambda task: done.append(task.test_takes[0].name) or real(task)
+    )
     assert line.compare([THESIS], [{"name": "eve"}, LEFT_OUT])["splits"] == first["splits"]
     assert done == []
     line.compare([THESIS, BEST], [{"name": "eve"}, LEFT_OUT])
@@ -139,19 +141,19 @@ def test_finished_cells_are_kept_and_not_done_again(line: Comparing, monkeypatch
 
 
 def test_what_was_finished_before_it_broke_off_is_kept(line: Comparing, monkeypatch: pytest.MonkeyPatch) -> None:
-    real = grid.annotate_task
+    real = comparison_cells.annotate_task
 
-    def breaks(task: grid.Task) -> grid.SegmentsByTake:
+    def breaks(task: comparison_cells.Task) -> comparison_cells.SegmentsByTake:
         if task.test_takes[0].name.startswith("bob"):
             raise KinedexError("pulled the plug")
         return real(task)
 
-    monkeypatch.setattr(grid, "annotate_task", breaks)
-    monkeypatch.setattr(grid, "SAVE_SECONDS", 0.0)
+    monkeypatch.setattr(comparison_cells, "annotate_task", breaks)
+    monkeypatch.setattr(comparison_cells, "SAVE_SECONDS", 0.0)
     with pytest.raises(KinedexError, match="pulled the plug"):
         line.compare([BEST], [LEFT_OUT])
     assert set(open_store(line.store).result("method_cells")["fold"].to_pylist()) == {"ann"}
-    monkeypatch.setattr(grid, "annotate_task", real)
+    monkeypatch.setattr(comparison_cells, "annotate_task", real)
     assert len(line.compare([BEST], [LEFT_OUT])["splits"][0]["folds"]) == 2
 
 
@@ -309,7 +311,9 @@ def test_no_value_is_cut_on_a_narrow_terminal(line: Comparing) -> None:
 def small_split() -> SplitResult:
     take = a_test_take(("a", 0, 4))
     found = {"t": (a_segment("a", 0, 3, 1.0),)}
-    judged = {name: judge(found, [take], ["a"], draws=5) for name in ("thesis, τ = 0.13, learned queries", "best")}
+    judged = {
+        name: score_method(found, [take], ["a"], draws=5) for name in ("thesis, τ = 0.13, learned queries", "best")
+    }
     return SplitResult(Split(name="x"), (Fold("x", "all", (), (take,)),), {}, judged, (), ())
 
 
@@ -419,14 +423,14 @@ def test_touching_segments_of_one_class_are_one_where_they_are_joined() -> None:
     truth = a_test_take(("a", 0, 6), ("a", 8, 10), ("b", 2, 4))
     spans = (("a", 3, 6, 0.2), ("b", 2, 4, 1.0), ("a", 0, 3, 0.8), ("a", 7, 10, 0.5))
     found = {"t": tuple(a_segment(*one) for one in spans)}
-    mine, (one,) = joined(found, [truth])
+    mine, (one,) = joined_segments(found, [truth])
     assert [(each.label, each.start, each.stop, each.confidence) for each in mine["t"]] == [
         ("a", 0, 6, pytest.approx(0.5)), ("b", 2, 4, 1.0), ("a", 7, 10, 0.5),
     ]  # fmt: skip
     assert {each.key for each in one.truth} == {each.key for each in truth.truth}
     touching = a_test_take(("a", 0, 3), ("a", 3, 6), ("a", 4, 5))
-    assert joined({"t": ()}, [touching])[1][0].truth == (TakeSegment("t", "a", 0, 6),)
-    result = judge(found, [truth], ["a", "b"], draws=10)
+    assert joined_segments({"t": ()}, [touching])[1][0].truth == (TakeSegment("t", "a", 0, 6),)
+    result = score_method(found, [truth], ["a", "b"], draws=10)
     assert result.precision[0.7] < result.joined_precision[0.6] == 1.0
     assert result.boundaries.tolist() == [[3, 0], [-1, 0], [0, 0]]
     assert result.joined_boundaries.tolist() == [[0, 0], [-1, 0], [0, 0]]
@@ -444,7 +448,7 @@ def test_the_takes_shown_are_the_best_the_middle_and_the_worst() -> None:
 
 
 def test_nothing_found_and_nothing_to_find_is_judged() -> None:
-    result = judge({"t": ()}, [a_test_take()], ["a"], draws=10)
+    result = score_method({"t": ()}, [a_test_take()], ["a"], draws=10)
     assert math.isnan(result.pooled.f1)
     assert math.isnan(result.precision[0.5])
     assert result.boundaries.shape == (0, 2)

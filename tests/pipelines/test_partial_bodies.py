@@ -20,29 +20,29 @@ from kinedex.catalog.queries.keyframe_query import (
 )
 from kinedex.catalog.queries.query_reader import parse_queries
 from kinedex.ops.annotation.segments import Segment
-from kinedex.ops.ranking.ranking import rank
+from kinedex.ops.ranking.best_hits import rank
 from kinedex.ops.templates.derived_templates import restricted_template
-from kinedex.ops.templates.templates import Learned, learn_soft, quantise
+from kinedex.ops.templates.templates import LearnedTemplate, learn_soft, quantise
 from kinedex.ops.words import ALL_KNOWN, U64, TakeWords
 from kinedex.pipelines.annotation import threshold_calibration as calibration
 from kinedex.pipelines.annotation.annotators import Annotator, make_annotator
 from kinedex.pipelines.annotation.batches import annotate_words
 from kinedex.pipelines.annotation.methods import BestMethod, ClassTemplates, ThesisMethod
-from kinedex.pipelines.keyframes.learning import training_sets, training_task
+from kinedex.pipelines.keyframes.applicability import applicability, not_applied_table
 from kinedex.pipelines.keyframes.parameters import KeyframeParameters, setting_of
-from kinedex.pipelines.ranking.ranked_hits import RankedTemplate
-from kinedex.pipelines.ranking.ranking import rank_takes
-from kinedex.pipelines.ranking.ranking_evaluation import clip_costs
-from kinedex.pipelines.ranking.store_ranking import rank_store
-from kinedex.pipelines.search.bit_slices import sliced_words
-from kinedex.pipelines.search.explanation import explain_store
-from kinedex.pipelines.search.not_applied import applicability, not_applied_table
-from kinedex.pipelines.search.query_proposal import propose_query
-from kinedex.pipelines.search.search import search_remarks, search_store
+from kinedex.pipelines.keyframes.proposed_query import propose_query
+from kinedex.pipelines.keyframes.query_learning import training_sets, training_task
+from kinedex.pipelines.keyframes.search_explanation import explain_store
+from kinedex.pipelines.keyframes.slice_search import sliced_words
+from kinedex.pipelines.keyframes.store_search import search_remarks, search_store
 from kinedex.pipelines.stages.annotate import Annotate
 from kinedex.pipelines.stages.learn_templates import LearnTemplates
-from kinedex.pipelines.templates.learning import SubclassTemplate, learned_of, usable_clips
+from kinedex.pipelines.templates.ranked_hits import RankedTemplate
+from kinedex.pipelines.templates.ranking import rank_takes
+from kinedex.pipelines.templates.ranking_evaluation import clip_costs
+from kinedex.pipelines.templates.store_ranking import rank_store
 from kinedex.pipelines.templates.stored_templates import template_from_clip
+from kinedex.pipelines.templates.template_learning import SubclassTemplate, learn_template, usable_clips
 from kinedex.storage.index.builder import build_index
 from kinedex.storage.snapshot.schemas import hits_of
 from kinedex.storage.store.store import Store, open_store
@@ -380,12 +380,12 @@ def test_a_template_learns_nothing_of_features_that_its_clips_lack() -> None:
     every = {f"clip_{pace}": partial(motion("kick", pace), MOST) for pace in (4, 5, 6)}
     clips = usable_clips("kick", every, dict.fromkeys(every, MOST))
     assert (clips.known, clips.remarks) == (MOST, ("the bodies of all clips lack joints: 32 features are learned",))
-    learned = learned_of(clips, "soft", 40).template
+    learned = learn_template(clips, "soft", 40).template
     assert np.flatnonzero(learned.unknown).tolist() == list(range(8))
     quantised = quantise(learned, 0.05)
     assert not int(np.bitwise_or.reduce(quantised.mask)) & ~MOST
     assert quantised.feature_weights is None
-    whole = learned_of(usable_clips("kick", {name: motion("kick") for name in every}), "soft", 40).template
+    whole = learn_template(usable_clips("kick", {name: motion("kick") for name in every}), "soft", 40).template
     np.testing.assert_array_equal(learned.values[:, 8:] > 0.5, whole.values[:, 8:] > 0.5)
 
 
@@ -406,7 +406,9 @@ def test_the_usual_postures_stand_for_what_a_template_does_not_know() -> None:
         own = {key: partial(words, MOST) for key, words in every.items() if key.startswith(name)}
         clips = usable_clips(name, own, dict.fromkeys(own, MOST))
         made.append(
-            SubclassTemplate(name, "soft", Learned(learned_of(clips, "soft", 40).template, 1, (0.0,)), clips.names)
+            SubclassTemplate(
+                name, "soft", LearnedTemplate(learn_template(clips, "soft", 40).template, 1, (0.0,)), clips.names
+            )
         )
     chosen = make_annotator(
         BODY, made, load_classes("own", ("kick", "walk")), 0.05, 0.13, method=BestMethod, clips=lambda: [TAKE]

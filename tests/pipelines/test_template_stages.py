@@ -42,7 +42,7 @@ def test_every_subclass_gets_a_soft_and_a_hard_template_with_its_clips(line: Lin
 def test_templates_do_not_depend_on_the_executor(line: Line, monkeypatch: pytest.MonkeyPatch):
     line.run(LearnTemplates)
     alone = open_store(line.store).result("templates").drop_columns(["run"])
-    monkeypatch.setattr("kinedex.pipelines.templates.learning._TASK_CELLS", 1)
+    monkeypatch.setattr("kinedex.pipelines.templates.template_learning._TASK_CELLS", 1)
     spread = Line(line.store, "processes")
     spread.run(LearnTemplates)
     spread.executor.close()

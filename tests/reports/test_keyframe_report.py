@@ -9,8 +9,8 @@ import pytest
 
 from kinedex.ops.keyframes.consensus import Consensus
 from kinedex.ops.keyframes.training_task import Individual, LearningRun
-from kinedex.pipelines.keyframes.learning import Chosen, Outcome
-from kinedex.reports.keyframes_page import PANEL, bars, courses, keyframes_page, matrix_of, stiffnesses
+from kinedex.pipelines.keyframes.query_learning import ChosenQuery, Outcome
+from kinedex.reports.keyframes_page import PANEL, bars, history_curves, keyframes_page, matrix_of, stiffnesses
 from tests.pipelines.labelled import BODY
 from tests.pipelines.study import Reading
 
@@ -23,7 +23,7 @@ def outcome() -> Outcome:
     matrix = np.full((12, 40), 0.5)
     matrix[2, 2] = 0.75
     found = Consensus("consensus", query, 1.0, 0.99, 0.5, 0.9, 0.99, matrix)
-    return Outcome("kick", found, (Chosen(query, 3, 4),), 0.9, 1.0, 12, ("a", "b"), 7)
+    return Outcome("kick", found, (ChosenQuery(query, 3, 4),), 0.9, 1.0, 12, ("a", "b"), 7)
 
 
 def test_the_page_tells_each_class_with_its_query_in_words() -> None:
@@ -47,11 +47,11 @@ def test_the_page_tells_each_class_with_its_query_in_words() -> None:
 
 def test_generations_are_averaged_over_runs_and_shorter_runs_go_on_as_they_ended() -> None:
     long = np.array([[0.0, 1.0, 0.0, 0.0], [0.5, 1.0, 0.5, 0.5], [1.0, 1.0, 1.0, 1.0]])
-    found = {course.name: course for course in courses([long, long[:2]])}
+    found = {course.name: course for course in history_curves([long, long[:2]])}
     assert found["precision"].last == pytest.approx(0.75)
     assert found["recall"].last == 1.0
     assert found["precision"].path.startswith("M0.0 200.0L320.0 100.0L640.0 50.0")
-    assert courses([]) == []
+    assert history_curves([]) == []
 
 
 def test_stiffness_is_that_of_the_gap_range() -> None:

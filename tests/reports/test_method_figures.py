@@ -7,9 +7,9 @@ from hypothesis import strategies as st
 
 from kinedex.ops.evaluation.metrics import Counts
 from kinedex.ops.intervals import TakeSegment
+from kinedex.pipelines.evaluation.comparison_results import Threshold
 from kinedex.pipelines.evaluation.folds import TestTake
-from kinedex.pipelines.evaluation.study import Threshold
-from kinedex.reports.method_figures import ROOMS, bare_part, room_for, strips, sweeps
+from kinedex.reports.method_figures import STRIP_WIDTHS, bare_part, strips, sweeps, width_for_number
 
 SPAN = st.tuples(st.integers(0, 20), st.integers(1, 20)).map(lambda two: (two[0], two[0] + two[1]))
 
@@ -32,10 +32,10 @@ def test_a_number_stands_in_the_longest_part_that_nothing_covers(
 
 
 def test_two_digits_need_more_room_than_one() -> None:
-    assert room_for(3, 0.02) == 700
-    assert room_for(12, 0.02) == 1000
-    assert room_for(3, 1.0) == ROOMS[0]
-    assert room_for(3, 0.001) is None
+    assert width_for_number(3, 0.02) == 700
+    assert width_for_number(12, 0.02) == 1000
+    assert width_for_number(3, 1.0) == STRIP_WIDTHS[0]
+    assert width_for_number(3, 0.001) is None
 
 
 def test_numbers_of_blocks_that_lie_on_each_other_do_not() -> None:

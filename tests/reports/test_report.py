@@ -12,8 +12,8 @@ import pytest
 from kinedex.ops.errors import KinedexError
 from kinedex.ops.intervals import TakeSegment
 from kinedex.reports.annotation_page import annotation_page
-from kinedex.reports.data import Curve, Failure, HitCount, Score, StageRow, TakeRow, Template
-from kinedex.reports.overview import SEGMENTS
+from kinedex.reports.report_data import Curve, Failure, HitCount, Score, StageRow, TakeRow, Template
+from kinedex.reports.report_overview import SEGMENTS
 from tests.pipelines.study import FRAMES, Reading, study
 
 UNJUDGED: dict[str, object] = {"scores": (), "evaluation": None, "held_out": None}

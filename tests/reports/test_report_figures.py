@@ -10,12 +10,12 @@ import pytest
 from kinedex.ops.errors import ParameterError
 from kinedex.ops.intervals import TakeSegment
 from kinedex.pipelines.engine.page_files import write_page
-from kinedex.reports.data import Curve, Score, TakeRow
 from kinedex.reports.palette import CLASS_COLOURS
 from kinedex.reports.pixels import SCALE, quantised_image, soft_image, wildcard_share
 from kinedex.reports.plots import time_axis
+from kinedex.reports.report_data import Curve, Score, TakeRow
 from kinedex.reports.take_selection import choose_takes, median_take, worst_middle_best
-from kinedex.reports.timelines import HEIGHT, POINTS, curve_figure, line, minima, thin, timeline
+from kinedex.reports.timelines import HEIGHT, POINTS, curve_figure, line, minima, thinned_frames, timeline
 from tests.pipelines.study import FRAMES, study
 
 
@@ -106,7 +106,7 @@ def test_a_long_curve_keeps_every_lowest_point() -> None:
     generator = np.random.default_rng(1)
     costs = generator.random(10 * POINTS)
     costs[12345] = -1.0
-    frames, kept = thin(costs)
+    frames, kept = thinned_frames(costs)
     assert len(frames) <= POINTS + 2
     assert 12345 in frames
     assert np.array_equal(costs[frames], kept)

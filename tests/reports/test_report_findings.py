@@ -15,13 +15,14 @@ import pyarrow as pa
 import pytest
 
 from kinedex.ops.intervals import TakeSegment
-from kinedex.pipelines.labels.selection import Selection, selected
+from kinedex.pipelines.labels.row_selection import RowSelection, selected_rows
 from kinedex.reports.annotation_page import annotation_page, confirmations, hits_to_play
 from kinedex.reports.archive_strip import BINS, archive_strip
-from kinedex.reports.data import ReportData, TakeRow
-from kinedex.reports.overview import (
+from kinedex.reports.palette import CLASS_COLOURS
+from kinedex.reports.report_data import ReportData, TakeRow
+from kinedex.reports.report_overview import (
     LOOKS,
-    MOST_ROWS,
+    MAX_ROWS,
     class_findings,
     csv_lines,
     group_findings,
@@ -30,7 +31,6 @@ from kinedex.reports.overview import (
     surest,
     totals,
 )
-from kinedex.reports.palette import CLASS_COLOURS
 from kinedex.reports.take_selection import choose_takes, findings_of, take_groups
 from tests.pipelines.study import FRAMES, Reading, study
 
@@ -100,7 +100,7 @@ def test_rows_of_the_file_choose_annotations(tmp_path: Path) -> None:
     (tmp_path / "rows.csv").write_text("".join(csv_lines(data)))
     table = pa.table({"take": ["=take", "b"], "class": ["=1+1", "c"], "start": pa.array([3, 0], pa.int32()),
                       "stop": pa.array([9, 5], pa.int32())})  # fmt: skip
-    assert selected(table, Selection(rows=tmp_path / "rows.csv"), "annotation")["take"].to_list() == ["=take"]
+    assert selected_rows(table, RowSelection(rows=tmp_path / "rows.csv"), "annotation")["take"].to_list() == ["=take"]
 
 
 def test_fifty_thousand_segments_leave_the_page_small_and_it_tells_where_the_others_are() -> None:
@@ -114,9 +114,9 @@ def test_fifty_thousand_segments_leave_the_page_small_and_it_tells_where_the_oth
     data = replace(unlabelled(), takes=takes, automatic=segments, curves=(), curves_take=None, subclasses={})
     page = annotation_page(data)
     assert len(page.encode()) < 2_500_000
-    assert f"The page has the {MOST_ROWS:,} least confident of 50,000 segments" in Reading(page).text
+    assert f"The page has the {MAX_ROWS:,} least confident of 50,000 segments" in Reading(page).text
     rows = json.loads(re.search(r'id="rows">(.*?)</script>', page)[1])["rows"]  # type: ignore[index]
-    assert len(rows) == MOST_ROWS
+    assert len(rows) == MAX_ROWS
     assert rows[0][5] <= rows[-1][5]
     assert "460 takes not shown" in Reading(page).text
 

@@ -17,11 +17,11 @@ from kinedex.ops.errors import KinedexError
 from kinedex.ops.intervals import TakeSegment
 from kinedex.pipelines.engine.runner import run_pipeline
 from kinedex.pipelines.templates.stored_clips import nearest_examples
-from kinedex.reports import motions
+from kinedex.reports import embedded_motions
 from kinedex.reports.annotation_page import annotation_page
-from kinedex.reports.data import Template
+from kinedex.reports.embedded_motions import FINEST_M, UNSEEN, EmbeddedMotion, embed, motions_json, pack
 from kinedex.reports.example_motions import with_hits
-from kinedex.reports.motions import FINEST_M, UNSEEN, Motion, embed, motions_json, pack
+from kinedex.reports.report_data import Template
 from kinedex.storage.snapshot.parts import joint_positions
 from kinedex.storage.store.store import Store, open_store
 from tests.pipelines.archives import human_amc, human_asf
@@ -29,7 +29,7 @@ from tests.pipelines.counted_bars import CountedBars
 from tests.pipelines.study import study
 
 
-def unpacked(motion: Motion) -> np.ndarray:
+def unpacked(motion: EmbeddedMotion) -> np.ndarray:
     """Decode a motion as the player does: (J, 3, T), NaN where no position is known."""
     steps = np.frombuffer(zlib.decompress(base64.b64decode(motion.data)), "<i2")
     rows = np.cumsum(steps.reshape(72, -1), axis=1, dtype=np.int16)
@@ -68,7 +68,7 @@ def test_as_many_takes_are_carried_as_fit_and_the_rest_is_named(store: Store, mo
     positions = joint_positions(store.frames(names[0]), all_of_them.joints)
     np.testing.assert_allclose(unpacked(all_of_them.motions[0]), positions[:, :, ::2], atol=0.51 * FINEST_M)
     room = sum(len(motion.data) for motion in all_of_them.motions[:2])
-    monkeypatch.setattr(motions, "MOST_BYTES", room)
+    monkeypatch.setattr(embedded_motions, "MAX_BYTES", room)
     some = embed(store, names)
     assert [motion.take for motion in some.motions] == names[:2]
     assert f"2 of the 4 takes with a timeline ({names[0]}, {names[1]})" in some.remark
@@ -128,7 +128,9 @@ def test_a_take_without_a_timeline_cannot_be_asked_for(store: Store) -> None:
 
 
 def test_nothing_in_the_page_ends_the_script_that_holds_the_motions() -> None:
-    carried = motions.Motions((Motion("</script><b>", 0, 1, 1, 2, 15.0, 0.001, ""),), ("root",), (-1,), "")
+    carried = embedded_motions.EmbeddedMotions(
+        (EmbeddedMotion("</script><b>", 0, 1, 1, 2, 15.0, 0.001, ""),), ("root",), (-1,), ""
+    )
     text = str(motions_json(carried))
     assert "<" not in text
     assert json.loads(text)["motions"][0]["take"] == "</script><b>"
@@ -138,7 +140,9 @@ def test_nothing_in_the_page_ends_the_script_that_holds_the_motions() -> None:
 def test_a_page_has_a_player_where_it_carries_motions_and_its_segments_say_their_frames() -> None:
     data = study()
     take = data.takes[0].name
-    carried = motions.Motions((pack(take, np.zeros((24, 3, 8)), 30.0),), ("root",), (-1,), "Click a segment.")
+    carried = embedded_motions.EmbeddedMotions(
+        (pack(take, np.zeros((24, 3, 8)), 30.0),), ("root",), (-1,), "Click a segment."
+    )
     page = annotation_page(data, motions=carried)
     assert 'id="player"' in page
     assert f'data-take="{take}"' in page

@@ -16,7 +16,7 @@ from kinedex.pipelines.engine.context import StageContext
 from kinedex.pipelines.engine.executors import make_executor
 from kinedex.reports.annotation_data import read_report_data
 from kinedex.reports.annotation_page import annotation_page
-from kinedex.reports.data import Failure
+from kinedex.reports.report_data import Failure
 from kinedex.reports.stages.report import Report
 from kinedex.storage.snapshot.manifest import StageRecord
 from kinedex.storage.snapshot.schemas import frames_schema, result_schema, takes_schema

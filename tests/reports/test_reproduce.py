@@ -10,7 +10,7 @@ import pytest
 
 from kinedex.pipelines.engine.config import load_pipeline
 from kinedex.reports.annotation_data import command
-from kinedex.reports.data import StageRow
+from kinedex.reports.report_data import StageRow
 
 
 @pytest.mark.parametrize("source", ["/archive", "/my archive #1", "/a: b", "/it's 'here'", "/2024"])

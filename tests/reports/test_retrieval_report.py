@@ -10,10 +10,10 @@ import pytest
 from kinedex.catalog.queries.keyframe_query import SAME_FRAME, Gap, Keyframe, KeyframeQuery
 from kinedex.ops.search.gaps import UNBOUNDED
 from kinedex.pipelines.engine.runner import run_pipeline
-from kinedex.pipelines.ranking.ranking_evaluation import (
+from kinedex.pipelines.templates.ranking_evaluation import (
     EVERYWHERE,
     WRITTEN,
-    Judged,
+    EvaluatedRanking,
     Trial,
     mean_stiffness,
     stiffened,
@@ -41,8 +41,8 @@ def test_rigid_gaps_admit_the_written_distance_and_loose_ones_any_longer_one() -
 
 
 def trials() -> list[dict[str, Any]]:
-    def judged(*relevant: bool) -> Judged:
-        return Judged("takes", "", "kick", relevant, 2, sum(relevant))
+    def judged(*relevant: bool) -> EvaluatedRanking:
+        return EvaluatedRanking("takes", "", "kick", relevant, 2, sum(relevant))
 
     found = [
         Trial(EVERYWHERE, None, judged(True, False, True, False), 1.0),
@@ -62,7 +62,9 @@ def test_precision_is_drawn_over_recall_up_to_the_last_right_rank() -> None:
 
 
 def test_variants_are_counted_over_classes_with_queries() -> None:
-    lone = trial_rows([Trial(EVERYWHERE, None, Judged("takes", "", "walk", (), 5, 0), 1.0)], "run").to_pylist()
+    lone = trial_rows(
+        [Trial(EVERYWHERE, None, EvaluatedRanking("takes", "", "walk", (), 5, 0), 1.0)], "run"
+    ).to_pylist()
     by_name = {one.name: one for one in variants(trials() + lone)}
     assert by_name["1"].recall == 0.5
     assert by_name[EVERYWHERE].to_find == 2

@@ -118,7 +118,7 @@ def test_garbage_can_be_collected_on_a_full_disk(tmp_path: Path, monkeypatch: py
         add(writer, {"a": 6}, edition=1)
         writer.commit()
     monkeypatch.setattr("kinedex.storage.lock.open", FullFile, raising=False)
-    assert [item.kind for item in garbage.collect(tmp_path, keep=1).removed].count("frames part") == 1
+    assert [item.kind for item in garbage.collect_garbage(tmp_path, keep=1).removed].count("frames part") == 1
 
 
 def test_a_folder_that_cannot_be_made_is_named(tmp_path: Path) -> None:

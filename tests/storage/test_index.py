@@ -255,7 +255,7 @@ def test_a_build_without_space_says_so_and_leaves_nothing(store: Store, monkeypa
 
     later = change(store, 5)
     before = sorted(os.listdir(store.path / "index"))
-    monkeypatch.setattr(builder.tables, "insert", full)
+    monkeypatch.setattr(builder.index_tables, "insert", full)
     with pytest.raises(StoreError, match=r"the index cannot be built: .*No space left on device; .*`kinedex gc`"):
         build_index(later)
     assert sorted(os.listdir(store.path / "index")) == before
@@ -279,9 +279,9 @@ KILLED = """
 import os, signal, sys
 from kinedex.storage.index.builder import build_index
 from kinedex.storage.index.generations import current_generation, read_generation
-from kinedex.storage.index import tables
+from kinedex.storage.index import index_tables
 from kinedex.storage.store.store import open_store
-tables.count = lambda *_: os.kill(os.getpid(), signal.SIGKILL)
+index_tables.count = lambda *_: os.kill(os.getpid(), signal.SIGKILL)
 build_index(open_store(sys.argv[1], at="newest"))
 """
 

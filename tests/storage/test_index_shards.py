@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 from kinedex.catalog.sql.views import MACROS
-from kinedex.storage.index import surface
+from kinedex.storage.index import index_views
 from kinedex.storage.index.builder import build_index
 from kinedex.storage.index.generations import Generation, read_generation
 from kinedex.storage.index.shard_plan import FANOUT
@@ -201,7 +201,7 @@ def test_views_and_macros_that_are_out_of_date_are_made_anew_and_the_rows_stay(
 ) -> None:
     store = stores["many"]
     before = says(store)
-    monkeypatch.setattr(surface, "MACROS", surface.MACROS[2:])
+    monkeypatch.setattr(index_views, "MACROS", index_views.MACROS[2:])
     build_index(store)
     after = says(store)
     assert after.surface != before.surface

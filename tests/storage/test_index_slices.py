@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from kinedex.ops.errors import StoreError
 from kinedex.ops.search.bit_slices import BitSlices, slice_words
 from kinedex.ops.words import I64, NO_WORD
-from kinedex.pipelines.search.bit_slices import sliced_store
+from kinedex.pipelines.keyframes.slice_search import sliced_store
 from kinedex.storage.index.builder import build_index
 from kinedex.storage.index.generations import (
     Generation,

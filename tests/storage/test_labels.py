@@ -14,8 +14,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from kinedex.ops.errors import KinedexError, SourceError
+from kinedex.storage.formats.labels.file_labels import Label, LabelsOfTake, ManualSegment
 from kinedex.storage.formats.labels.formats import FORMATS, read_labels, write_labels
-from kinedex.storage.formats.labels.segments import Label, ManualSegment, TakeLabels
 
 names = st.text(st.characters(codec="utf-8", exclude_categories=("Cc", "Cs", "Zl", "Zp")), min_size=1, max_size=12).map(
     str.strip
@@ -25,7 +25,7 @@ classes = st.sampled_from(["walk", "kick & <turn>", 'a "b" (2)', "walk (2)", "--
 
 
 @st.composite
-def some_labels(draw: st.DrawFn) -> TakeLabels:
+def some_labels(draw: st.DrawFn) -> LabelsOfTake:
     frames = draw(st.integers(1, 2_000_000))
     made = []
     for _ in range(draw(st.integers(0, 8))):
@@ -33,7 +33,7 @@ def some_labels(draw: st.DrawFn) -> TakeLabels:
         stop = draw(st.integers(start + 1, frames))
         made.append(Label(draw(classes), start, stop, None, draw(st.none() | st.floats(0, 1)), 1.0))
     rate = draw(st.sampled_from([25.0, 29.97, 30.0, 50.0, 59.94, 100.0, 120.0, 240.0, 480.0]))
-    return TakeLabels(draw(names), rate, frames, tuple(sorted(made, key=lambda one: one.start)))
+    return LabelsOfTake(draw(names), rate, frames, tuple(sorted(made, key=lambda one: one.start)))
 
 
 def by_time(segments: list[tuple[str, int, int]]) -> list[tuple[str, int, int]]:
@@ -42,7 +42,7 @@ def by_time(segments: list[tuple[str, int, int]]) -> list[tuple[str, int, int]]:
 
 @settings(max_examples=60)
 @given(some_labels(), st.sampled_from(sorted(FORMATS)))
-def test_what_is_written_is_read_back_to_the_frame(tmp_path_factory, labels: TakeLabels, form: str):
+def test_what_is_written_is_read_back_to_the_frame(tmp_path_factory, labels: LabelsOfTake, form: str):
     path = tmp_path_factory.mktemp("labels") / f"some.{form}"
     write_labels([labels], form, path)
     found = read_labels(path)
@@ -52,7 +52,7 @@ def test_what_is_written_is_read_back_to_the_frame(tmp_path_factory, labels: Tak
     assert {one.take for one in found.segments} <= set(found.takes)
 
 
-TWO = TakeLabels(
+TWO = LabelsOfTake(
     "a take",
     120.0,
     1000,
@@ -88,7 +88,7 @@ def test_the_same_labels_in_the_words_of_every_format(tmp_path: Path):
 
 
 def test_nothing_is_overwritten_unless_asked_for_and_nothing_half_written(tmp_path: Path):
-    others = [TakeLabels(name, 30.0, 9, ()) for name in ("one", "two")]
+    others = [LabelsOfTake(name, 30.0, 9, ()) for name in ("one", "two")]
     written = list(write_labels(others, "vtt", tmp_path / "new" / "folder").paths)
     assert written == [tmp_path / "new" / "folder" / f"{name}.vtt" for name in ("one", "two")]
     before = written[1].stat().st_mtime_ns
@@ -108,7 +108,7 @@ def test_nothing_is_overwritten_unless_asked_for_and_nothing_half_written(tmp_pa
 
 def test_a_name_that_a_format_cannot_hold_excludes_its_take_and_no_other(tmp_path: Path):
     for name, form in (("a\nb", "vtt"), ("\x1b[31m", "eaf"), ("a\rb", "txt"), (" a", "csv"), ("", "json")):
-        odd, plain = TakeLabels(name, 30.0, 9, ()), TakeLabels("plain", 30.0, 9, ())
+        odd, plain = LabelsOfTake(name, 30.0, 9, ()), LabelsOfTake("plain", 30.0, 9, ())
         with pytest.raises(KinedexError, match=r"cannot hold .*would not give back the name"):
             write_labels([odd], form, tmp_path / f"x.{form}")
         written = write_labels([odd, plain], form, tmp_path / "folder", force=True)
@@ -123,7 +123,7 @@ HOSTILE = (
 
 @pytest.mark.parametrize("form", ["csv", "json"])
 def test_any_name_is_exported_and_read_again(tmp_path: Path, form: str):
-    takes = [TakeLabels(name, 30.0, 900, (Label(name, 0, 9, name, 0.1, 0.9),)) for name in HOSTILE]
+    takes = [LabelsOfTake(name, 30.0, 900, (Label(name, 0, 9, name, 0.1, 0.9),)) for name in HOSTILE]
     (whole,) = write_labels(takes, form, tmp_path / f"all.{form}").paths
     assert [(one.take, one.label) for one in read_labels(whole).segments] == [(name, name) for name in HOSTILE]
     written = write_labels(takes, form, tmp_path / "each")
@@ -138,7 +138,7 @@ def test_any_name_is_exported_and_read_again(tmp_path: Path, form: str):
 
 
 def test_a_spreadsheet_computes_no_cell(tmp_path: Path):
-    takes = [TakeLabels(name, 30.0, 900, (Label(name, 0, 9, name, -0.5, 0.9),)) for name in HOSTILE]
+    takes = [LabelsOfTake(name, 30.0, 900, (Label(name, 0, 9, name, -0.5, 0.9),)) for name in HOSTILE]
     (path,) = write_labels(takes, "csv", tmp_path / "all.csv").paths
     with path.open(encoding="utf-8", newline="") as file:
         cells = [cell for row in csv.reader(file) for cell in row]
@@ -153,7 +153,7 @@ def read(folder: Path, ending: str, text: str) -> list[ManualSegment]:
 
 
 def test_what_is_a_folder_and_which_format_is_meant(tmp_path: Path):
-    takes = [TakeLabels(name, 30.0, 9, ()) for name in ("one", "two")]
+    takes = [LabelsOfTake(name, 30.0, 9, ()) for name in ("one", "two")]
     year = tmp_path / "lab.2024"
     with pytest.raises(
         KinedexError, match=r"2024: its ending, '\.2024', is no format of labels.*folder.*--format.*a / at"
@@ -202,7 +202,7 @@ def test_a_folder_that_nobody_may_write_into_is_not_blamed_on_a_temporary_file()
 
 
 def test_takes_without_a_label_are_takes_of_their_file(tmp_path: Path):
-    takes = [TWO, TakeLabels("found empty", 30.0, 9, ())]
+    takes = [TWO, LabelsOfTake("found empty", 30.0, 9, ())]
     for form in ("csv", "json"):
         (path,) = write_labels(takes, form, tmp_path / f"all.{form}").paths
         found = read_labels(path)
@@ -324,7 +324,7 @@ def test_limbs_and_annotators_come_back(tmp_path: Path, form: str):
         Label("error", 20, 60, limb="rhand"),
         Label("walk", 0, 100),
     )
-    write_labels([TakeLabels("a take", 100.0, 500, labels)], form, tmp_path / f"some.{form}")
+    write_labels([LabelsOfTake("a take", 100.0, 500, labels)], form, tmp_path / f"some.{form}")
     found = read_labels(tmp_path / f"some.{form}").segments
     assert {(one.label, one.limb, one.annotator, *one.source_frames(100.0)) for one in found} == {
         (one.label, one.limb, one.annotator, one.start, one.stop) for one in labels
@@ -333,7 +333,7 @@ def test_limbs_and_annotators_come_back(tmp_path: Path, form: str):
 
 @pytest.mark.parametrize(("form", "label"), [("eaf", "walk"), ("vtt", "error"), ("txt", "error")])
 def test_a_format_without_a_place_for_the_limb_is_refused(tmp_path: Path, form: str, label: str):
-    labels = TakeLabels("a take", 100.0, 500, (Label(label, 0, 50, limb="lshank"),))
+    labels = LabelsOfTake("a take", 100.0, 500, (Label(label, 0, 50, limb="lshank"),))
     with pytest.raises(KinedexError, match=f"has no place for the limb of a label '{label}' \\(a take, lshank\\)"):
         write_labels([labels], form, tmp_path / f"some.{form}")
     assert not list(tmp_path.iterdir())

@@ -23,7 +23,7 @@ from kinedex.storage.index.generations import current_generation
 from kinedex.storage.leases import OpenVersion, open_versions, take_lease
 from kinedex.storage.snapshot import manifest_files
 from kinedex.storage.snapshot.manifest_files import manifest_path, versions
-from kinedex.storage.store.garbage_collection import collect
+from kinedex.storage.store.garbage_collection import collect_garbage
 from kinedex.storage.store.store import Store, open_store
 from kinedex.storage.store.writer import StoreWriter
 from tests.killed_runs import channel, start
@@ -58,7 +58,7 @@ def replaced(path: Path, times: int, *, indexed: bool = True) -> None:
 
 def everything(store: Store) -> dict[str, object]:
     """Read what only files of this version can answer."""
-    from kinedex.pipelines.search.bit_slices import sliced_store
+    from kinedex.pipelines.keyframes.slice_search import sliced_store
 
     numbers = "SELECT (SELECT count(*) FROM frames), (SELECT count(*) FROM hits), (SELECT sum(frames) FROM vocabulary)"
     return {
@@ -100,7 +100,7 @@ def test_collection_and_builds_keep_all_that_a_reader_has_open(path: Path, monke
         before = everything(store)
     with reading(path) as (process, pipe):
         replaced(path, 4)
-        found = collect(path, keep=1)
+        found = collect_garbage(path, keep=1)
         assert versions(path) == [2, 6]
         count = 1 if sys.platform == "linux" else None
         assert found.open_versions == [OpenVersion(2, count)]
@@ -110,7 +110,7 @@ def test_collection_and_builds_keep_all_that_a_reader_has_open(path: Path, monke
         assert pipe.recv() == before
         os.kill(process.pid, signal.SIGKILL)
         process.join(SECONDS)
-    assert collect(path, keep=1).open_versions == []
+    assert collect_garbage(path, keep=1).open_versions == []
     assert versions(path) == [6]
     with open_store(path) as store:
         assert everything(store)["hits"] == 1
@@ -127,7 +127,7 @@ def test_a_store_lets_go_of_its_version_when_it_is_closed_or_forgotten(path: Pat
     assert [found.version for found in open_versions(path)] == [2]
     one.close()
     replaced(path, 1)
-    collect(path, keep=1)
+    collect_garbage(path, keep=1)
     with pytest.raises(StoreError, match="version 2 has been removed; open the store again"):
         one.sql("SELECT count(*) FROM frames")
 
@@ -149,7 +149,7 @@ def test_a_store_that_is_sent_to_another_process_is_leased_there_too(path: Path)
     copy.close()
     sent = pickle.dumps(store)
     replaced(path, 1)
-    collect(path, keep=1)
+    collect_garbage(path, keep=1)
     with pytest.raises(StoreError, match="version 2 has been removed"):
         pickle.loads(sent)
 
@@ -228,7 +228,7 @@ def test_a_version_that_is_opened_while_garbage_is_collected_stays(path: Path, m
 
     really = garbage_collection._unneeded
     monkeypatch.setattr(garbage_collection, "_unneeded", unneeded)
-    found = collect(path, keep=1)
+    found = collect_garbage(path, keep=1)
     assert [one.version for one in found.open_versions] == [3]
     assert versions(path) == [3, 5]
     assert everything(late[0])["frames"] == 40
@@ -299,7 +299,7 @@ def test_few_manifests_are_read_however_many_versions_there_are(path: Path, monk
 
 def test_the_version_that_readers_get_is_not_collected(path: Path) -> None:
     replaced(path, 4, indexed=False)
-    collect(path, keep=1)
+    collect_garbage(path, keep=1)
     assert versions(path) == [2, 6]
     store = open_store(path)
     assert store.manifest.version == 2
@@ -309,13 +309,13 @@ def test_the_version_that_readers_get_is_not_collected(path: Path) -> None:
 
 def test_versions_stay_while_they_are_young_or_few(path: Path) -> None:
     replaced(path, 3)
-    assert collect(path, keep=1, older_than_seconds=3600).removed == []
-    assert collect(path, keep=9, older_than_seconds=0.0).removed == []
+    assert collect_garbage(path, keep=1, older_than_seconds=3600).removed == []
+    assert collect_garbage(path, keep=9, older_than_seconds=0.0).removed == []
     for version in (1, 2, 3):
         file = manifest_path(path, version)
         file.write_text("{")  # the time of a damaged version is that of its file
         os.utime(file, (0, 0))
-    assert [one.path for one in collect(path, keep=1, older_than_seconds=3600).removed][:3] == [
+    assert [one.path for one in collect_garbage(path, keep=1, older_than_seconds=3600).removed][:3] == [
         f"manifest/00000{version}.json" for version in (1, 2, 3)
     ]
     assert versions(path) == [4, 5]

@@ -15,7 +15,7 @@ import pytest
 from kinedex.ops.errors import StoreError
 from kinedex.storage.index.builder import build_index
 from kinedex.storage.lock import Lock, Wait
-from kinedex.storage.store.garbage_collection import collect
+from kinedex.storage.store.garbage_collection import collect_garbage
 from kinedex.storage.store.store import open_store
 from tests.storage.made_up import make_store
 
@@ -35,7 +35,7 @@ def test_builds_and_collections_wait_for_writers_and_report_for_whom(tmp_path: P
     released_later(Lock(store / "index" / "lock", "this"))
     build_index(open_store(store), threads=1, wait=wait)
     released_later(Lock(store / "lock", "this"))
-    collect(store, wait=wait)
+    collect_garbage(store, wait=wait)
     assert len(reports) == 2
     assert reports[0].startswith(f"waiting for process {os.getpid()} on ")
     assert f"which writes {store}: 0 s of at most 60 s" in reports[1]
@@ -91,7 +91,7 @@ def test_a_run_that_has_begun_waits_rather_than_loses_its_work(tmp_path: Path) -
     class Screen:
         """A display that lets another writer in while the run reads its files."""
 
-        def say(self, text: str) -> None:
+        def message(self, text: str) -> None:
             self.said = [*getattr(self, "said", []), text]
             if "waiting for" in text:
                 released_later(locks[-1])

@@ -106,17 +106,17 @@ def _relations(tree: Tree, legs: Pair, arms: Pair, head: bool) -> float:
 
 def trunk_length(tree: Tree, legs: Pair, arms: Pair) -> float:
     """Return the median distance from the middle of the hips to that of the shoulders."""
-    low = (tree.places[legs.first.nodes[0]] + tree.places[legs.second.nodes[0]]) / 2
-    high = (tree.places[arms.first.nodes[0]] + tree.places[arms.second.nodes[0]]) / 2
+    low = (tree.positions[legs.first.nodes[0]] + tree.positions[legs.second.nodes[0]]) / 2
+    high = (tree.positions[arms.first.nodes[0]] + tree.positions[arms.second.nodes[0]]) / 2
     return float(medians(lengths(high - low)))
 
 
 def _hips(tree: Tree, common: int, legs: Pair) -> int:
     """Return the node of the pelvis: where legs and spine part, or a near node with a name of the hips."""
-    middle = (tree.places[legs.first.nodes[0]] + tree.places[legs.second.nodes[0]]) / 2
+    middle = (tree.positions[legs.first.nodes[0]] + tree.positions[legs.second.nodes[0]]) / 2
     near = [common, *tree.ancestors(common)[1:], legs.at]
     for node in near:
-        far = float(medians(lengths(tree.places[node] - middle)))
+        far = float(medians(lengths(tree.positions[node] - middle)))
         if "hips" in tree.parts[node] and far < 0.35 * legs.length:
             return node
     return common
@@ -252,17 +252,17 @@ def _stated(tree: Tree, limbs: tuple[Limb, Limb] | None) -> bool:
 
 def _along(tree: Tree, legs: tuple[Limb, Limb], arms: tuple[Limb, Limb]) -> float:
     """Return the mean cosine between the line of the hips and that of the shoulders, both from right to left."""
-    across = [_unit(tree.places[pair[0].nodes[0]] - tree.places[pair[1].nodes[0]]) for pair in (legs, arms)]
+    across = [_unit(tree.positions[pair[0].nodes[0]] - tree.positions[pair[1].nodes[0]]) for pair in (legs, arms)]
     return float(np.mean((across[0] * across[1]).sum(axis=0)))
 
 
 def _facing(tree: Tree, legs: tuple[Limb, Limb]) -> float:
     """Return the mean cosine of the line from right hip to left hip with the left direction by feet and knees."""
-    across = _unit(tree.places[legs[0].nodes[0]] - tree.places[legs[1].nodes[0]])
+    across = _unit(tree.positions[legs[0].nodes[0]] - tree.positions[legs[1].nodes[0]])
     total, weight = 0.0, 0.0
     for leg in legs:
-        hip, knee, ankle = (tree.places[node] for node in leg.nodes)
-        tip = tree.places[leg.path[-1]]
+        hip, knee, ankle = (tree.positions[node] for node in leg.nodes)
+        tip = tree.positions[leg.path[-1]]
         shank, line = _unit(knee - ankle), _unit(hip - ankle)
         for up, vector in ((shank, tip - ankle), (line, knee - ankle)):
             ahead = vector - up * (up * vector).sum(axis=0)

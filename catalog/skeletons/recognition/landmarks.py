@@ -20,7 +20,7 @@ from kinedex.ops.errors import did_you_mean
 
 _WORD = re.compile(r"[^\W_]+")
 _EXPLICIT = ("joint", "center", "centre", "jc")  # words that mark a label of a marker set as a joint
-_MOST_CHOICES = 12  # alternatives of a joint; more never help
+_MAX_CHOICES = 12  # alternatives of a joint; more never help
 _LOOKED_AT = 60  # most labels in which a prefix without a separator is searched
 _SKIN = 3  # least labels of skin landmarks in a file of markers
 _TRUNK = ("lasis", "rasis", "lpsis", "rpsis", "sacrum", "c7", "clav", "t10", "strn")
@@ -227,7 +227,7 @@ class Landmarks:
             if found and not mixes:
                 how = choice.estimated
             mixes += [mix for mix in found if mix not in mixes]
-        return mixes[:_MOST_CHOICES], how
+        return mixes[:_MAX_CHOICES], how
 
     def _expanded(self, choice: Choice, labels: Mapping[str, tuple[str, ...]]) -> list[Mix]:
         used = list(dict.fromkeys([*(name for name, _ in choice.weights), *choice.plane]))

@@ -13,7 +13,7 @@ import numpy as np
 from kinedex.catalog.skeletons.recognition.names import NodeName
 from kinedex.catalog.skeletons.recognition.tree import ARM, LEG, Tree
 
-_LEAST = 0.12  # least length of a limb as a share of the longest path through the tree
+_MIN_LENGTH = 0.12  # least length of a limb as a share of the longest path through the tree
 _OF_LIMBS = frozenset({*LEG, *ARM, "clavicle", "pelvis side"})
 _NAME_WEIGHT = 4.0  # a name outweighs a length that is a third too long
 _WORST = -10.0  # least score of lengths
@@ -101,7 +101,7 @@ def limb_pairs(tree: Tree, kind: Sequence[str], most: int = 6) -> list[Pair]:
     found: list[Pair] = []
     known: dict[int, Limb | None] = {}
     for at, children in enumerate(tree.children):
-        long = [c for c in children if tree.lengths[c] + tree.reach[c] > _LEAST * whole > 0]
+        long = [c for c in children if tree.lengths[c] + tree.reach[c] > _MIN_LENGTH * whole > 0]
         for a, b in combinations(long[:24], 2):
             sides = {tree.names[a].side, tree.names[b].side}
             if sides not in ({""}, {"l", "r"}):
@@ -123,9 +123,9 @@ def _matched(tree: Tree, at: int, first: Limb, second: Limb, kind: Sequence[str]
     pair = Pair(at, first, second)
     if pair.likeness < -1.0:
         for own, other, swapped in ((first, second, False), (second, first, True)):
-            places = [own.path.index(node) for node in own.nodes]
-            if places[2] < len(other.path):
-                twin = _Branch(tree, other.path, kind).limb((places[0], places[1], places[2]))
+            positions = [own.path.index(node) for node in own.nodes]
+            if positions[2] < len(other.path):
+                twin = _Branch(tree, other.path, kind).limb((positions[0], positions[1], positions[2]))
                 both = Pair(at, twin, own) if swapped else Pair(at, own, twin)
                 pair = max(pair, both, key=lambda one: one.score)
     return pair
@@ -185,7 +185,7 @@ def _joint(tree: Tree, path: Sequence[int], at: int) -> float:
     before, after = tree.lengths[path[at]], tree.lengths[path[at + 1]]
     if min(before, after) < 0.02 * (before + after):
         return 0.0
-    straight = tree.places[path[at + 1]] - tree.places[path[at - 1]]
+    straight = tree.positions[path[at + 1]] - tree.positions[path[at - 1]]
     bend = 1.0 - float(np.sqrt((straight * straight).sum(axis=0).min())) / (before + after)
     return _PASSED + (_BENT if bend > 0.02 else 0.0)
 

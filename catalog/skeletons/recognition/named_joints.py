@@ -227,9 +227,9 @@ def _add_top(
         return
     neck = found.mixes["neck"]
     shoulders = [arm.nodes[0] for arm in sides.arms or ()]
-    places = {tree.names[node].text: tree.places[node] for node in (*line, *shoulders, head)}
-    at = neck.apply(places, 1.0)
-    far = float(((tree.places[head] - at) ** 2).sum(axis=0).mean() ** 0.5)
+    positions = {tree.names[node].text: tree.positions[node] for node in (*line, *shoulders, head)}
+    at = neck.apply(positions, 1.0)
+    far = float(((tree.positions[head] - at) ** 2).sum(axis=0).mean() ** 0.5)
     if far <= 0.02 * leg:
         return
     past = round(min(HEAD_M * leg / far, 3.0), 3)
@@ -297,11 +297,11 @@ def _knuckles(tree: Tree, nodes: Sequence[int], wrist: int, forearm: float) -> l
     row = [node for node in long if not set(tree.ancestors(node)[1:]) & set(long)]
     if len(row) < 3:
         return list(nodes) if nodes and tree.parts[nodes[0]] else []
-    places = tree.rest[row] - tree.rest[row].mean(axis=0)
-    _, _, axes = np.linalg.svd(places, full_matrices=False)
-    order = np.argsort(places @ axes[0])
-    middle = places[order[len(row) // 2]]
-    thumb_last = np.linalg.norm(places[order[-1]] - middle) > np.linalg.norm(places[order[0]] - middle)
+    positions = tree.rest[row] - tree.rest[row].mean(axis=0)
+    _, _, axes = np.linalg.svd(positions, full_matrices=False)
+    order = np.argsort(positions @ axes[0])
+    middle = positions[order[len(row) // 2]]
+    thumb_last = np.linalg.norm(positions[order[-1]] - middle) > np.linalg.norm(positions[order[0]] - middle)
     return [row[int(order[len(row) // 2 - (1 if thumb_last and len(row) % 2 == 0 else 0)])]]
 
 

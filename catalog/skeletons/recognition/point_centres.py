@@ -40,8 +40,8 @@ _AMID = 0.1  # hip widths; a pelvis point nearer than this to the middle of the 
 _ROOT_UP = 0.12  # share of the way from mid-hips to mid-shoulders; 0.06 to 0.20 in Acclaim bodies
 _ROOT_BACK = 0.4  # hip widths; 0.59 to 0.87 for HDM05's actors bd, bk and dg, 0.24 for CMU's 02
 
-_MOST = 6  # most stand-ins of a joint
-_MOST_LABELS = 6  # most labels of a segment; more make no better triples
+_MAX_STAND_INS = 6  # most stand-ins of a joint
+_MAX_LABELS = 6  # most labels of a segment; more make no better triples
 _FARTHEST = 2.0  # largest coordinate of a joint in the axes of a triple; beyond, it amplifies marker noise too much
 _FLAT = 0.05  # sine of an angle below which three markers lie on a line
 
@@ -49,7 +49,7 @@ _FLAT = 0.05  # sine of an angle below which three markers lie on a line
 def add_regressions(draft: BodyDraft, landmarks: Landmarks, reading: Reading, joints: Sequence[str]) -> None:
     """Add the joints with regressions or centres; alternatives must agree in frames where both are visible."""
     with np.errstate(invalid="ignore", over="ignore"):
-        size = _size(draft.places)
+        size = _size(draft.positions)
         for joint, (mixes, how) in landmarks.all_mixes(reading, joints).items():
             draft.set(joint, *_agreeing(draft, mixes, size), how=how)
     for joint, landmarks_of in _SEGMENTS.items():
@@ -57,7 +57,7 @@ def add_regressions(draft: BodyDraft, landmarks: Landmarks, reading: Reading, jo
             labels = [label for landmark in landmarks_of for label in reading.labels.get(landmark, ())]
             best, *others = draft.joints[joint]
             place = draft.place(joint)
-            like = [] if place is None else stand_ins(draft.places, place, labels, _OFF * size)
+            like = [] if place is None else stand_ins(draft.positions, place, labels, _OFF * size)
             draft.joints[joint] = [best, *like, *others]
 
 
@@ -83,11 +83,11 @@ def _agreeing(draft: BodyDraft, mixes: Sequence[Mix], size: float) -> list[Mix]:
     return kept
 
 
-def _size(places: Mapping[str, F64]) -> float:
+def _size(positions: Mapping[str, F64]) -> float:
     """Return the extent of all points in a frame, the median over frames."""
-    if not places:
+    if not positions:
         return float("nan")
-    stacked = np.stack(list(places.values()))
+    stacked = np.stack(list(positions.values()))
     stacked = stacked[:, :, np.isfinite(stacked).any(axis=(0, 1))]
     if not stacked.size:
         return float("nan")
@@ -123,8 +123,8 @@ def _amid(draft: BodyDraft, label: str, hips: Sequence[str]) -> bool:
     """Return whether a point of the pelvis is merely the middle of the hips."""
     if len(hips) != 2:
         return False
-    left, right = (draft.places[hip] for hip in hips)
-    return median_length(draft.places[label] - (left + right) / 2) < _AMID * median_length(left - right)
+    left, right = (draft.positions[hip] for hip in hips)
+    return median_length(draft.positions[label] - (left + right) / 2) < _AMID * median_length(left - right)
 
 
 def _root_of_hips(draft: BodyDraft, hips: Sequence[str], shoulders: Sequence[str]) -> None:
@@ -143,16 +143,16 @@ def is_near(draft: BodyDraft, label: str, between: Mix | None) -> bool:
     root = draft.place("root")
     if between is None or root is None:
         return True
-    place = draft.places[label]
-    return median_length(place - between.apply(draft.places, 1.0)) < 0.35 * median_length(place - root)
+    place = draft.positions[label]
+    return median_length(place - between.apply(draft.positions, 1.0)) < 0.35 * median_length(place - root)
 
 
-def stand_ins(places: Mapping[str, F64], target: F64, labels: Sequence[str], tolerance: float) -> list[Mix]:
+def stand_ins(positions: Mapping[str, F64], target: F64, labels: Sequence[str], tolerance: float) -> list[Mix]:
     """Return mixes of three markers each that place a joint in the sampled frames in which it is hidden.
 
     Parameters
     ----------
-    places : Mapping of str to float64 array (3, K)
+    positions : Mapping of str to float64 array (3, K)
         The markers in K sampled frames; NaN where one is not seen.
     target : float64 array (3, K)
         The joint in the same frames; NaN where its own markers are hidden.
@@ -162,10 +162,10 @@ def stand_ins(places: Mapping[str, F64], target: F64, labels: Sequence[str], tol
         The largest median error of a stand-in in frames where the joint is visible, in the unit of the places.
     """
     seen = np.isfinite(target).all(axis=0)
-    triples = list(combinations(labels[:_MOST_LABELS], 3))
+    triples = list(combinations(labels[:_MAX_LABELS], 3))
     if seen.all() or not seen.any() or not triples:
         return []
-    corners = np.stack([np.stack([places[label] for label in triple]) for triple in triples])  # (n, 3, 3, K)
+    corners = np.stack([np.stack([positions[label] for label in triple]) for triple in triples])  # (n, 3, 3, K)
     origin, first, second = corners[:, 0], corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
     with np.errstate(invalid="ignore", divide="ignore", over="ignore"):
         normal = np.cross(first, second, axis=1)
@@ -184,7 +184,7 @@ def stand_ins(places: Mapping[str, F64], target: F64, labels: Sequence[str], tol
     order = sorted(range(len(triples)), key=lambda i: -int((known[i] & hidden).sum()))
     for i in order:
         shares = weights[i]
-        if shares is None or not (known[i] & hidden).any() or len(mixes) == _MOST:
+        if shares is None or not (known[i] & hidden).any() or len(mixes) == _MAX_STAND_INS:
             continue
         if max(abs(shares[0]), abs(shares[1]), abs(1 - shares[0] - shares[1]), abs(shares[2])) > _FARTHEST:
             continue

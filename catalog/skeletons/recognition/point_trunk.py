@@ -25,7 +25,7 @@ SIDES = ("l", "r")
 class BodyDraft:
     """The joints found so far: the alternatives of each, best first, and how some of them are estimated."""
 
-    places: dict[str, F64]
+    positions: dict[str, F64]
     joints: dict[str, list[Mix]] = field(default_factory=dict)
     estimated: dict[str, str] = field(default_factory=dict)
     made: dict[Mix, F64] = field(default_factory=dict)
@@ -33,7 +33,7 @@ class BodyDraft:
     def at(self, mix: Mix) -> F64:
         """Return where a combination of points is in the sampled frames, (3, K)."""
         if mix not in self.made:
-            self.made[mix] = mix.apply(self.places, 1.0)
+            self.made[mix] = mix.apply(self.positions, 1.0)
         return self.made[mix]
 
     def set(self, joint: str, *mixes: Mix | None, how: str = "") -> None:
@@ -101,11 +101,11 @@ def add_head(draft: BodyDraft, of: Mapping[str, str]) -> None:
         draft.set("headtop", top)
         return
     base = neck[0]
-    up = base.apply(draft.places, 1.0) - root
+    up = base.apply(draft.positions, 1.0) - root
     trunk = median_length(up)
     reach = 0.0
     if head is not None:
-        rise = head.apply(draft.places, 1.0) - base.apply(draft.places, 1.0)
+        rise = head.apply(draft.positions, 1.0) - base.apply(draft.positions, 1.0)
         reach = median_length(rise) / trunk
         if reach > 1.0 or not median_of((rise * up).sum(axis=0)) > 0.0:
             head = None  # such as the origin of a program's head segment, which is anywhere
@@ -122,7 +122,7 @@ def add_head(draft: BodyDraft, of: Mapping[str, str]) -> None:
     if head is not None:
         draft.joints["head"] = [head]
         if top is None:
-            length = median_length(head.apply(draft.places, 1.0) - base.apply(draft.places, 1.0))
+            length = median_length(head.apply(draft.positions, 1.0) - base.apply(draft.positions, 1.0))
             if length > 0:
                 top = blend(base, head, float(np.clip(0.5 * trunk / length, 1.3, 3.0)))
                 draft.estimated["headtop"] = "past the head, by the length of the trunk"
@@ -165,13 +165,13 @@ def _along_spine(draft: BodyDraft, labels: Sequence[str], share: float) -> Mix |
         return None
     up = neck - root
     length = median_length(up)
-    heights = {label: median_of(((draft.places[label] - root) * up).sum(axis=0)) / length**2 for label in labels}
+    heights = {label: median_of(((draft.positions[label] - root) * up).sum(axis=0)) / length**2 for label in labels}
     inner = [label for label in sorted(labels, key=lambda label: heights[label]) if 0.05 < heights[label] < 0.97]
     mixes = [draft.joints["root"][0], *map(one_point, inner), draft.joints["neck"][0]]
     if not inner or any(mix.plane or mix.of_joints for mix in mixes):
         return None
-    places = [mix.apply(draft.places, 1.0) for mix in mixes]
-    steps = np.array([median_length(b - a) for a, b in pairwise(places)])
+    positions = [mix.apply(draft.positions, 1.0) for mix in mixes]
+    steps = np.array([median_length(b - a) for a, b in pairwise(positions)])
     along = np.concatenate([[0.0], np.cumsum(steps)])
     at = share * along[-1]
     i = int(np.clip(np.searchsorted(along, at) - 1, 0, len(steps) - 1))
@@ -187,7 +187,7 @@ def _knee_between_clusters(draft: BodyDraft, reading: Reading, side: str) -> Non
     hip, ankle = draft.place(f"{side}hip"), draft.place(f"{side}ankle")
     if f"{side}knee" in draft.joints or not thigh or not shank or hip is None or ankle is None:
         return
-    upper, lower = (np.mean([draft.places[label] for label in labels], axis=0) for labels in (thigh, shank))
+    upper, lower = (np.mean([draft.positions[label] for label in labels], axis=0) for labels in (thigh, shank))
     leg = median_length(hip - ankle)
     down = median_length(upper - hip) / leg
     up = median_length(lower - ankle) / leg
@@ -217,8 +217,8 @@ def _toes_of_markers(draft: BodyDraft, reading: Reading, side: str) -> None:
     if above is None or not {"rasis", "lasis", f"{side}kneelat", f"{side}anklelat"} <= of.keys():
         return
     knee, ankle = of[f"{side}kneelat"], of[f"{side}anklelat"]
-    shank = median_length(draft.places[ankle] - draft.places[knee])
-    width = median_length(draft.places[of["lasis"]] - draft.places[of["rasis"]])
+    shank = median_length(draft.positions[ankle] - draft.positions[knee])
+    width = median_length(draft.positions[of["lasis"]] - draft.positions[of["rasis"]])
     below = blend(one_point(knee), one_point(ankle), 1.14)
     mix = replace(below, plane=(of["rasis"], of["lasis"], above), out=round(0.36 * shank / width, 4))
     draft.set(f"{side}toes", mix, how="in front of the ankle, as the pelvis faces")

@@ -10,7 +10,9 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from kinedex.catalog.skeletons.evidence import Evidence
+import numpy as np
+
+from kinedex.catalog.skeletons.body_evidence import Evidence
 from kinedex.catalog.skeletons.recognition.landmarks import Landmarks, Reading, load_landmarks
 from kinedex.catalog.skeletons.recognition.point_centres import add_centres, add_regressions
 from kinedex.catalog.skeletons.recognition.point_trunk import SIDES, BodyDraft, add_ends, add_trunk
@@ -22,7 +24,7 @@ from kinedex.ops.errors import SourceError
 NAME = {True: "recognised markers", False: "recognised points"}
 """The names of mappings that are made for markers on the skin, and for joint centres."""
 
-LEAST_CONFIDENCE = 0.5
+MIN_CONFIDENCE = 0.5
 """Minimum confidence at which a recognised body is accepted."""
 
 _LEGS = tuple(f"{side}{part}" for side in SIDES for part in ("hip", "knee", "ankle"))
@@ -98,16 +100,16 @@ def _recognised(evidence: Evidence, joints: tuple[str, ...], form: Format, landm
     """Return the best fit, and why it is no body; an empty text if it is one."""
     reading = landmarks.read(evidence.names)
     index = {name: i for i, name in enumerate(evidence.names)}
-    draft = BodyDraft({name: evidence.places[i] for name, i in index.items()})
+    draft = BodyDraft({name: evidence.positions[i] for name, i in index.items()})
     add_regressions(draft, landmarks, reading, joints)
     if not reading.skin:
         add_centres(draft, reading)
     add_trunk(draft, reading)
     add_ends(draft, reading)
-    places = {joint: place for joint in joints if (place := draft.place(joint)) is not None}
-    proportions = check_proportions(places)
+    positions = {joint: place for joint in joints if (place := draft.place(joint)) is not None}
+    proportions = check_proportions(positions)
     refusal = _refusal(draft, reading, proportions)
-    axes, reasons = _upright(places, evidence)
+    axes, reasons = _upright(positions, evidence)
     fit = _mapping(draft, reading, joints, axes, form).fit(index)
     counted = f"{reading.known} of {len(evidence.names)} labels name {'landmarks' if reading.skin else 'joints'}"
     found = replace(
@@ -119,9 +121,9 @@ def _recognised(evidence: Evidence, joints: tuple[str, ...], form: Format, landm
     return found, f"{refusal}{_found(draft, reading, evidence)}" if refusal else ""
 
 
-def _upright(places: Mapping[str, F64], evidence: Evidence) -> tuple[F64, list[str]]:
+def _upright(positions: Mapping[str, F64], evidence: Evidence) -> tuple[F64, list[str]]:
     """Return the axes (3, 3) with Y up, and sentences on how they were found."""
-    judged = up_axis(places)
+    judged = up_axis(positions)
     stated = evidence.up
     reasons = [f"up is {judged.axis or 'undecided'} by posture (confidence {judged.confidence:.2f})", *judged.reasons]
     if stated is None:
@@ -166,7 +168,7 @@ def _refusal(draft: BodyDraft, reading: Reading, proportions: Proportions) -> st
         or (len(arms) == len(_ARMS) and "neck" in draft.joints and {"root", "chest"} & draft.joints.keys())
     ):
         return "no human body is recognised among its points: neither two whole legs nor two arms and a trunk"
-    if proportions.confidence < LEAST_CONFIDENCE:
+    if proportions.confidence < MIN_CONFIDENCE:
         return f"its points have no human proportions ({'; '.join(proportions.doubts)})"
     return ""
 
@@ -203,18 +205,18 @@ class Proportions:
     reasons: tuple[str, ...]
 
 
-def check_proportions(places: Mapping[str, F64]) -> Proportions:
+def check_proportions(positions: Mapping[str, F64]) -> Proportions:
     """Compare the limbs of a body with human ones.
 
     Parameters
     ----------
-    places : Mapping of str to float64 array (3, K)
+    positions : Mapping of str to float64 array (3, K)
         Named joints in K sampled frames, in any unit and axes; NaN where a joint is not seen.
     """
     lengths: dict[str, list[float]] = {}
     doubts: list[str] = []
     for limb, (top, end) in _LIMBS.items():
-        both = [_lengths(places, f"{side}{top}", f"{side}{end}") for side in "lr"]
+        both = [_lengths(positions, f"{side}{top}", f"{side}{end}") for side in "lr"]
         medians = [float(np.median(found)) for found in both if len(found)]
         lengths[limb] = medians
         if len(medians) == 2 and max(medians) > _UNEQUAL * max(min(medians), 1e-12):
@@ -227,7 +229,7 @@ def check_proportions(places: Mapping[str, F64]) -> Proportions:
         "hips": ("lhip", "rhip"),
         "shoulders": ("lshoulder", "rshoulder"),
     }.items():
-        found = _lengths(places, *ends)
+        found = _lengths(positions, *ends)
         lengths[part] = [float(np.median(found))] if len(found) else []
     legs = sum(float(np.mean(lengths[limb])) for limb in ("thigh", "shank") if lengths[limb])
     arms = sum(float(np.mean(lengths[limb])) for limb in ("upper arm", "forearm") if lengths[limb])
@@ -247,11 +249,11 @@ def check_proportions(places: Mapping[str, F64]) -> Proportions:
     return Proportions(confidence, tuple(doubts), (text, *doubts))
 
 
-def _lengths(places: Mapping[str, F64], a: str, b: str) -> F64:
-    if a not in places or b not in places:
+def _lengths(positions: Mapping[str, F64], a: str, b: str) -> F64:
+    if a not in positions or b not in positions:
         return np.empty(0)
     with np.errstate(invalid="ignore", over="ignore"):
-        found = np.sqrt(((places[a] - places[b]) ** 2).sum(axis=0))
+        found = np.sqrt(((positions[a] - positions[b]) ** 2).sum(axis=0))
     return np.asarray(found[np.isfinite(found)])
 
 

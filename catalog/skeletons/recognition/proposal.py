@@ -62,7 +62,7 @@ def mapping_yaml(fit: Fit, name: str | None = None) -> str:
             how = f"  # estimated: {fit.estimated[joint]}" if joint in fit.estimated else ""
             lines.append(f"  {joint}: {choices[0] if len(choices) == 1 else '[' + ', '.join(choices) + ']'}{how}")
     used = {node for mix in fit.joints.values() if mix is not None for node in mix.names}
-    unused = [node for node in fit.places if node not in used]
+    unused = [node for node in fit.indices if node not in used]
     lines += ["", f"# Nodes that no joint is made of: {', '.join(map(scalar, unused)) or 'none'}", ""]
     return "\n".join(lines)
 

@@ -10,7 +10,7 @@ from pathlib import Path
 
 import numpy as np
 
-from kinedex.catalog.skeletons.evidence import Evidence
+from kinedex.catalog.skeletons.body_evidence import Evidence
 from kinedex.catalog.skeletons.recognition.anatomy import (
     ARM_TO_LEG,
     TRUNK_TO_LEG,
@@ -29,7 +29,7 @@ from kinedex.ops.arrays import F64
 from kinedex.ops.body.up_axis import UpAxis, up_axis
 from kinedex.ops.errors import SourceError
 
-LEAST_CONFIDENCE = 0.35
+MIN_CONFIDENCE = 0.35
 """Minimum confidence at which a recognised body is accepted."""
 
 NAME = "recognised"
@@ -104,14 +104,14 @@ def _recognised(
 ) -> tuple[Fit, str]:
     """Return the best fit, and why it cannot be used; an empty text if it can."""
     tree = build_tree(evidence, vocabulary)
-    places = {name: i for i, name in enumerate(evidence.names)}
+    positions = {name: i for i, name in enumerate(evidence.names)}
     bodies = find_anatomies(tree)
     if not bodies:
-        return _fit(JointMixes(), evidence, joints, form, source, places, False), _missing_parts(tree)
+        return _fit(JointMixes(), evidence, joints, form, source, positions, False), _missing_parts(tree)
     body = bodies[0]
     sides = find_sides(tree, body)
     found = joint_mixes(tree, body, sides)
-    fit = _fit(found, evidence, joints, form, source, places, sides.mirrored)
+    fit = _fit(found, evidence, joints, form, source, positions, sides.mirrored)
     fit, up_reason, up_sure = _upright(fit, tree, evidence)
     fit = replace(fit, mapping=replace(fit.mapping, root_axes=_root_axes(tree, body, sides, fit.mapping.axes)))
     confidence = _confidence(tree, body, sides) * (1.0 if up_sure else _NO_UP)
@@ -128,7 +128,7 @@ def _fit(
     joints: Sequence[str],
     form: Format,
     source: Path,
-    places: Mapping[str, int],
+    positions: Mapping[str, int],
     mirrored: bool,
 ) -> Fit:
     """Return the mapping of some joints, laid over the nodes; the other joints are unknown."""
@@ -146,14 +146,14 @@ def _fit(
         bones=found.bones,
         joints=mixes,
     )
-    return replace(mapping.fit(places), reasons=("no body is recognised",), confidence=0.0)
+    return replace(mapping.fit(positions), reasons=("no body is recognised",), confidence=0.0)
 
 
 def _upright(fit: Fit, tree: Tree, evidence: Evidence) -> tuple[Fit, str, bool]:
     """Return the fit with the vertical axis that the file states or the body shows, the reason, and if it is clear."""
     if evidence.up is not None:
         return fit, f"{evidence.up} is up, as the file states", True
-    judged = judged_up(*joint_places(fit, tree.places, tree.rest))
+    judged = judged_up(*joint_positions(fit, tree.positions, tree.rest))
     if not judged.axis:
         return fit, "no axis is clearly up (" + "; ".join(judged.reasons) + "): y is taken", False
     mirrored = np.linalg.det(fit.mapping.axes) < 0
@@ -181,7 +181,7 @@ def _root_axes(tree: Tree, body: Anatomy, sides: Sides, axes: F64) -> F64:
     return found if abs(np.linalg.det(found)) > 0.5 else axes
 
 
-def judged_up(places: Mapping[str, F64], rest: Mapping[str, F64] | None) -> UpAxis:
+def judged_up(positions: Mapping[str, F64], rest: Mapping[str, F64] | None) -> UpAxis:
     """Return which axis is up.
 
     If motion and rest pose disagree, the motion decides if the rest pose is upside down, or if the lowest point of the
@@ -193,30 +193,30 @@ def judged_up(places: Mapping[str, F64], rest: Mapping[str, F64] | None) -> UpAx
         As for `kinedex.ops.body.up_axis.up_axis`.
     """
     with np.errstate(over="ignore", invalid="ignore"):  # Absurd numbers are refused later.
-        judged = up_axis(places, rest)
+        judged = up_axis(positions, rest)
         if judged.axis or rest is None:
             return judged
-        alone = up_axis(places)
+        alone = up_axis(positions)
         standing = up_axis({joint: np.reshape(place, (3, 1)) for joint, place in rest.items()})
     if not alone.axis:
         return judged
     upside_down = standing.axis and standing.axis[-1] == alone.axis[-1]
     index, sign = "xyz".index(alone.axis[-1]), -1.0 if alone.axis[0] == "-" else 1.0
-    heights = sign * np.stack(list(places.values()))[:, index]
+    heights = sign * np.stack(list(positions.values()))[:, index]
     low, high = float(np.nanmin(heights)), float(np.nanmax(heights))
     if abs(low) < _AT_ZERO * (high - low):
         return replace(alone, reasons=(*judged.reasons, f"the lowest point is at 0 along {alone.axis}"))
     return replace(alone, reasons=judged.reasons) if upside_down else judged
 
 
-def joint_places(fit: Fit, places: F64, rest: F64 | None) -> tuple[dict[str, F64], dict[str, F64] | None]:
+def joint_positions(fit: Fit, positions: F64, rest: F64 | None) -> tuple[dict[str, F64], dict[str, F64] | None]:
     """Return the known joints in sampled frames, (3, K) each, and in the rest pose, (3,) each, in the file's axes.
 
     Parameters
     ----------
     fit : Fit
         The mapping over the nodes.
-    places : float64 array (N, 3, K)
+    positions : float64 array (N, 3, K)
         The nodes in sampled frames.
     rest : float64 array (N, 3), optional
         The nodes in the rest pose.
@@ -230,7 +230,7 @@ def joint_places(fit: Fit, places: F64, rest: F64 | None) -> tuple[dict[str, F64
         return dict(zip(known, placed, strict=True))
 
     resting = None if rest is None else {joint: place[:, 0] for joint, place in apply(rest[:, :, None]).items()}
-    return apply(places), resting
+    return apply(positions), resting
 
 
 def _confidence(tree: Tree, body: Anatomy, sides: Sides) -> float:
@@ -268,7 +268,7 @@ def _fault(tree: Tree, bodies: Sequence[Anatomy], confidence: float, animal: fro
     if body.names < _WHOLE_NAMES and len(bodies) > 1 and body.score - bodies[1].score < _LEAD:
         one, other = (_in_words(tree, pair) for pair in bodies[:2])
         return f"ambiguous (the limbs may be {one}, or {other})"
-    if confidence < LEAST_CONFIDENCE and body.names < _FULL_NAMES:
+    if confidence < MIN_CONFIDENCE and body.names < _FULL_NAMES:
         kind = "ambiguous" if body.names > _WHOLE_NAMES else "not human"
         return f"{kind} (the nearest body, {_in_words(tree, body)}, has a confidence of {confidence:.2f})"
     return ""
@@ -289,7 +289,7 @@ def _middle(tree: Tree, body: Anatomy, which: int) -> tuple[F64, F64]:
     """Return the middle of the first and of the last nodes of the legs (0) or the arms (1), (3, K) each."""
     pair = (body.legs, body.arms)[which]
     assert pair is not None
-    near, far = ((tree.places[pair.first.nodes[i]] + tree.places[pair.second.nodes[i]]) / 2 for i in (0, 2))
+    near, far = ((tree.positions[pair.first.nodes[i]] + tree.positions[pair.second.nodes[i]]) / 2 for i in (0, 2))
     return near, far
 
 

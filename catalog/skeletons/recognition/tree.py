@@ -6,7 +6,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from kinedex.catalog.skeletons.evidence import Evidence
+from kinedex.catalog.skeletons.body_evidence import Evidence
 from kinedex.catalog.skeletons.recognition.names import NodeName, Vocabulary, normal_names
 from kinedex.ops.arrays import F64
 
@@ -33,7 +33,7 @@ class Tree:
         −1 for a root.
     children : tuple of tuple of int
         The children of each node, without branches that are no part of a limb (twists, faces, clothes).
-    places : float64 array (N, 3, K)
+    positions : float64 array (N, 3, K)
         Where the nodes are in the sampled frames.
     rest : float64 array (N, 3)
         Where they are in the rest pose.
@@ -47,7 +47,7 @@ class Tree:
     parts: tuple[tuple[str, ...], ...]
     parents: tuple[int, ...]
     children: tuple[tuple[int, ...], ...]
-    places: F64
+    positions: F64
     rest: F64
     lengths: tuple[float, ...]
     reach: tuple[float, ...]
@@ -87,7 +87,7 @@ class Tree:
         """Return the median distance of two nodes."""
         if a not in self._far:
             with np.errstate(over="ignore", invalid="ignore"):
-                self._far[a] = medians(lengths(self.places - self.places[a], 1)).tolist()
+                self._far[a] = medians(lengths(self.positions - self.positions[a], 1)).tolist()
         return self._far[a][b]
 
 
@@ -124,9 +124,9 @@ def build_tree(evidence: Evidence, vocabulary: Vocabulary) -> Tree:
     rest = np.zeros((count, 3))
     for i, parent in enumerate(parents):
         rest[i] = offsets[i] + (rest[parent] if parent >= 0 else 0.0)
-    places = evidence.places if evidence.places.shape[2] else rest[:, :, None]
+    positions = evidence.positions if evidence.positions.shape[2] else rest[:, :, None]
     with np.errstate(over="ignore", invalid="ignore"):
-        far = medians(lengths(places - places[above], 1))
+        far = medians(lengths(positions - positions[above], 1))
     bones = np.where(above < 0, 0.0, np.nan_to_num(far, nan=0.0, posinf=0.0)).tolist()
     used = _used(parts, parents)
     children: list[list[int]] = [[] for _ in range(count)]
@@ -136,7 +136,7 @@ def build_tree(evidence: Evidence, vocabulary: Vocabulary) -> Tree:
         if parent >= 0 and used[i]:
             children[parent].insert(0, i)
             reach[parent] = max(reach[parent], bones[i] + reach[i])
-    return Tree(names, parts, parents, tuple(map(tuple, children)), places, rest, tuple(bones), tuple(reach))
+    return Tree(names, parts, parents, tuple(map(tuple, children)), positions, rest, tuple(bones), tuple(reach))
 
 
 def _used(parts: tuple[tuple[str, ...], ...], parents: tuple[int, ...]) -> list[bool]:

@@ -139,7 +139,7 @@ _TURNS = {
 UP_AXES = tuple(_TURNS)
 """Axes that can point up."""
 
-_MOST_BYTES = {".json": 16 << 20}
+_MAX_BYTES = {".json": 16 << 20}
 _FEWEST_BYTES = 1 << 20  # bytes; the limit for YAML and TOML, which are small
 
 ENDINGS = (".yaml", ".yml", ".json", ".toml")
@@ -212,7 +212,7 @@ def _load(path: Path) -> Located:
     ending = path.suffix.lower()
     if ending not in ENDINGS:
         raise ConfigError(path, f"expected a calibration ending in {', '.join(ENDINGS)}")
-    most = _MOST_BYTES.get(ending, _FEWEST_BYTES)
+    most = _MAX_BYTES.get(ending, _FEWEST_BYTES)
     if file_size(path) > most:
         raise ConfigError(path, f"has {file_size(path) / 1e6:.1f} MB, and calibrations {most >> 20} MB at most")
     if ending == ".json":

@@ -17,7 +17,7 @@ from kinedex.ops.errors import ParameterError, did_you_mean
 
 F64 = npt.NDArray[np.float64]
 
-MOST_CAMERAS = 1000
+MAX_CAMERAS = 1000
 """The largest number of cameras in a calibration."""
 
 KEYS = {
@@ -33,7 +33,7 @@ KEYS = {
 }  # fmt: skip
 """A dict from attribute of a camera to the keys under which programs write it."""
 
-_MOST_NUMBERS = 64
+_MAX_NUMBERS = 64
 _NO_POINT = re.compile(r"[-+]?[0-9]{1,18}[eE][-+]?[0-9]{1,2}")
 _ROTATION_ERROR = 0.01
 
@@ -124,7 +124,7 @@ def numbers_of(value: object) -> F64 | None:
         if isinstance(one, str) and _NO_POINT.fullmatch(one):  # YAML 1.1 reads 1e-05 as text
             one = float(one)
         if isinstance(one, list):
-            if len(flat) + len(waiting) + len(one) > _MOST_NUMBERS:
+            if len(flat) + len(waiting) + len(one) > _MAX_NUMBERS:
                 return None
             waiting.extend(reversed(one))
         elif isinstance(one, int | float) and not isinstance(one, bool) and abs(one) < 1e300:
@@ -230,9 +230,9 @@ def _refuse_other_lenses(located: Located, at: tuple[str | int, ...], values: Ma
 
 
 def refuse_names(located: Located, names: list[str]) -> None:
-    """Raise an error unless there are 1 to `MOST_CAMERAS` cameras with printable names that all differ."""
-    if not 1 <= len(names) <= MOST_CAMERAS:
-        raise located.error(f"expected 1 to {MOST_CAMERAS} cameras, found {len(names)}")
+    """Raise an error unless there are 1 to `MAX_CAMERAS` cameras with printable names that all differ."""
+    if not 1 <= len(names) <= MAX_CAMERAS:
+        raise located.error(f"expected 1 to {MAX_CAMERAS} cameras, found {len(names)}")
     seen: set[str] = set()
     for name in names:
         if not name or len(name) > 200 or not name.isprintable():

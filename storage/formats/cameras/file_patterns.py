@@ -17,7 +17,7 @@ from kinedex.ops.errors import SourceError
 CAMERA = "{camera}"
 """The placeholder for the part of a name that differs by camera."""
 
-MOST_FILES = 2_000_000
+MAX_FILES = 2_000_000
 """The largest number of files that a pattern may match."""
 
 _DIGITS = re.compile(r"(\d+)")
@@ -80,8 +80,8 @@ def find_files(folder: Path, pattern: str, endings: tuple[str, ...] = (), exclud
     found: list[tuple[Path, str | None]] = [(Path(path.anchor) if path.is_absolute() else folder, None)]
     for part in parts:
         found = [match for place, camera in found for match in _step(place, camera, part)]
-        if len(found) > MOST_FILES:
-            raise SourceError(folder, f"'{pattern}' matches more than {MOST_FILES:,} files")
+        if len(found) > MAX_FILES:
+            raise SourceError(folder, f"'{pattern}' matches more than {MAX_FILES:,} files")
     if endings:
         found = [match for place, camera in found for match in _inside(place, camera, endings)]
     files: dict[str, list[Path]] = {}

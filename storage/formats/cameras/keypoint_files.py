@@ -27,7 +27,7 @@ F64 = npt.NDArray[np.float64]
 
 TABLES = (".csv", ".parquet")
 
-_MOST_NUMBERS = 200_000_000
+_MAX_NUMBERS = 200_000_000
 _SAMPLE = 2000  # persons by which two keypoint sets are told apart
 
 
@@ -144,11 +144,11 @@ def keypoint_arrays(
     if not there:
         raise SourceError(next(one.path for one in seen if one is not None), "has no person in any frame")
     keypoint_set, columns = _columns(there, choice)
-    names = tuple(name for name in columns if name in keypoint_set.places)
+    names = tuple(name for name in columns if name in keypoint_set.positions)
     unused = tuple(name for name in (keypoint_set.order or columns) if name not in names)
     if not names:
         raise SourceError(
-            there[0].path, f"has no keypoint with a place on the body{did_you_mean('', keypoint_set.places)}"
+            there[0].path, f"has no keypoint with a place on the body{did_you_mean('', keypoint_set.positions)}"
         )
     by_camera = [None if one is None else chosen_persons(one, person) if one.keypoints else {} for one in seen]
     numbers = [
@@ -159,7 +159,7 @@ def keypoint_arrays(
     ]
     first, frames = min(numbers), max(numbers) - min(numbers) + 1
     most = max(len(one.frames) for one in there)
-    if frames > 10 * most + 1000 or frames * len(seen) * len(names) * 3 > _MOST_NUMBERS:
+    if frames > 10 * most + 1000 or frames * len(seen) * len(names) * 3 > _MAX_NUMBERS:
         raise SourceError(
             there[0].path, f"frames {first} to {first + frames - 1}, of which one camera has {most} at most: too many "
             "are missing, or too many for one recording; check the numbers in the names, and `offsets:`, or cut it",
@@ -170,10 +170,10 @@ def keypoint_arrays(
         if one is None or points is None:
             continue
         own = one.names or keypoint_set.order
-        places = [own.index(name) for name in names if name in own]
+        positions = [own.index(name) for name in names if name in own]
         into = [p for p, name in enumerate(names) if name in own]
         for frame, person_rows in points.items():
-            rows[frame - offset - first, v, into] = _padded(person_rows, len(own))[places]
+            rows[frame - offset - first, v, into] = _padded(person_rows, len(own))[positions]
     seen_points = np.isfinite(rows[..., 0])
     confidence = rows[..., 2]
     without, above = int((np.isnan(confidence) & seen_points).sum()), int((confidence > 1).sum())

@@ -12,7 +12,7 @@ import polars as pl
 import pyarrow as pa
 import pyarrow.parquet as pq
 
-from kinedex.catalog.keypoint_sets import MOST_KEYPOINTS
+from kinedex.catalog.keypoint_sets import MAX_KEYPOINTS
 from kinedex.ops.errors import SourceError, did_you_mean
 from kinedex.storage.formats.cameras.persons import (
     FARTHEST_PX,
@@ -27,10 +27,10 @@ from kinedex.storage.formats.source_files import file_size, source_bytes
 
 I64 = npt.NDArray[np.int64]
 
-MOST_ROWS = 50_000_000
+MAX_ROWS = 50_000_000
 """The largest number of rows in a table."""
 
-_MOST_CSV_BYTES = 2 << 30
+_MAX_CSV_BYTES = 2 << 30
 _ALIASES = {
     "conf": "confidence",
     "score": "confidence",
@@ -78,15 +78,15 @@ def read_keypoint_table(path: Path, recording: str = "") -> dict[str, SeenPerson
         if key in table.columns and table[key].null_count():
             row = int(table[key].is_null().arg_true()[0])
             raise _error(path, table, row, f"`{key}` must not be empty")
-    names, places = _keypoints(path, table)
+    names, positions = _keypoints(path, table)
     rows = np.stack([table[key].to_numpy() for key in ("x", "y", "confidence")], axis=1)
     far = np.flatnonzero((np.abs(rows) > FARTHEST_PX).any(axis=1))
     if len(far):
         raise _error(path, table, int(far[0]), OUT_OF_BOUNDS)
     rows = checked_points(path, "a row", rows)
-    count = len(names) or int(places.max()) + 1
+    count = len(names) or int(positions.max()) + 1
     return {
-        str(camera): _persons(path, part, rows[part["row"].to_numpy()], places[part["row"].to_numpy()], names, count)
+        str(camera): _persons(path, part, rows[part["row"].to_numpy()], positions[part["row"].to_numpy()], names, count)
         for camera, part in _by_camera(table)
     }
 
@@ -99,13 +99,13 @@ def _by_camera(table: pl.DataFrame) -> list[tuple[str, pl.DataFrame]]:
 
 
 def _persons(
-    path: Path, table: pl.DataFrame, rows: npt.NDArray[np.float64], places: I64, names: tuple[str, ...], count: int
+    path: Path, table: pl.DataFrame, rows: npt.NDArray[np.float64], positions: I64, names: tuple[str, ...], count: int
 ) -> SeenPersons:
     """Return the persons of one camera."""
     seen = SeenPersons(path, names=names)
     groups = table.select("frame", "person").with_columns(pl.struct("frame", "person").rank("dense").alias("group"))
     group = groups["group"].to_numpy().astype(np.int64) - 1
-    key = group * count + places
+    key = group * count + positions
     order = np.argsort(key, kind="stable")
     twice = np.flatnonzero(np.diff(key[order]) == 0)
     if len(twice):
@@ -113,7 +113,7 @@ def _persons(
         raise _error(path, table, int(order[twice[0] + 1]), message)
     points = np.full((int(group.max()) + 1, count, 3), np.nan)
     points[:, :, 2] = 0.0
-    points[group, places] = rows
+    points[group, positions] = rows
     first = groups.unique("group").sort("group")
     for number, (frame, person) in enumerate(first.select("frame", "person").iter_rows()):
         persons = seen.frames.setdefault(int(frame), [])
@@ -128,14 +128,14 @@ def _keypoints(path: Path, table: pl.DataFrame) -> tuple[tuple[str, ...], I64]:
     texts = table["keypoint"]
     numbers = texts.cast(pl.Int64, strict=False)
     if numbers.null_count() == 0:
-        places = numbers.to_numpy()
-        wrong = np.flatnonzero((places < 0) | (places >= MOST_KEYPOINTS))
+        positions = numbers.to_numpy()
+        wrong = np.flatnonzero((positions < 0) | (positions >= MAX_KEYPOINTS))
         if len(wrong):
-            raise _error(path, table, int(wrong[0]), f"`keypoint` must be 0 to {MOST_KEYPOINTS - 1}, or a name")
-        return (), places.astype(np.int64)
+            raise _error(path, table, int(wrong[0]), f"`keypoint` must be 0 to {MAX_KEYPOINTS - 1}, or a name")
+        return (), positions.astype(np.int64)
     names = texts.unique(maintain_order=True)
-    if len(names) > MOST_KEYPOINTS:
-        raise SourceError(path, f"has {len(names)} keypoints, and {MOST_KEYPOINTS} are read at most")
+    if len(names) > MAX_KEYPOINTS:
+        raise SourceError(path, f"has {len(names)} keypoints, and {MAX_KEYPOINTS} are read at most")
     order = {name: i for i, name in enumerate(names.to_list())}
     return tuple(order), texts.replace_strict(order, return_dtype=pl.Int64).to_numpy()
 
@@ -150,8 +150,8 @@ def _error(path: Path, table: pl.DataFrame, row: int, message: str) -> SourceErr
 
 def _csv(path: Path) -> pl.DataFrame:
     """Return a CSV table; a cell that should be a number and is not raises an error with its line."""
-    if file_size(path) > _MOST_CSV_BYTES:
-        raise SourceError(path, f"has more than {_MOST_CSV_BYTES >> 30} GB; write Parquet, or a file for each camera")
+    if file_size(path) > _MAX_CSV_BYTES:
+        raise SourceError(path, f"has more than {_MAX_CSV_BYTES >> 30} GB; write Parquet, or a file for each camera")
     data = source_bytes(path)
     head = CsvTable.of(path, data[: data.find(b"\n", 4096) + 1 or len(data)])
     text = decoded(path, data)
@@ -159,7 +159,7 @@ def _csv(path: Path) -> pl.DataFrame:
     try:
         table = pl.read_csv(
             io.BytesIO(text.encode("utf-8", "replace")), separator=head.separator, infer_schema=False,
-            skip_rows=skipped, truncate_ragged_lines=True, raise_if_empty=False, n_rows=MOST_ROWS + 1,
+            skip_rows=skipped, truncate_ragged_lines=True, raise_if_empty=False, n_rows=MAX_ROWS + 1,
         )  # fmt: skip
     except Exception as fault:  # polars raises many classes of errors, all for a file that is not a table
         raise SourceError(path, f"is no table that can be read: {str(fault).splitlines()[0][:200]}") from None
@@ -173,8 +173,8 @@ def _csv(path: Path) -> pl.DataFrame:
 def _parquet(path: Path) -> pl.DataFrame:
     try:
         with pq.ParquetFile(path) as file:
-            if file.metadata.num_rows > MOST_ROWS:
-                raise SourceError(path, f"has {file.metadata.num_rows:,} rows, and {MOST_ROWS:,} are read at most")
+            if file.metadata.num_rows > MAX_ROWS:
+                raise SourceError(path, f"has {file.metadata.num_rows:,} rows, and {MAX_ROWS:,} are read at most")
             wanted = [name for name in file.schema_arrow.names if _column(name) in _COLUMNS]
             found: Any = pl.from_arrow(_plain(file.read(columns=wanted)))
     except SourceError:

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from kinedex.catalog.keypoint_sets import MOST_KEYPOINTS
+from kinedex.catalog.keypoint_sets import MAX_KEYPOINTS
 from kinedex.ops.errors import SourceError
 from kinedex.storage.formats.cameras.persons import Person, SeenPersons, checked_points, refuse_crowds
 from kinedex.storage.formats.motion.keypoint_json import IDS
@@ -18,7 +18,7 @@ from kinedex.storage.formats.source_files import beginning, file_size, load_json
 PEOPLE = "people"
 POINTS = "pose_keypoints_2d"
 
-_MOST_BYTES = 8 << 20
+_MAX_BYTES = 8 << 20
 _NUMBERED = re.compile(r".*?(?P<number>\d+)(?:_keypoints)?$", re.DOTALL)
 
 
@@ -76,8 +76,8 @@ def read_frame(path: Path) -> list[Person]:
     SourceError
         The file is not of OpenPose; the message names the person.
     """
-    if file_size(path) > _MOST_BYTES:
-        raise SourceError(path, f"has more than {_MOST_BYTES >> 20} MB, which is no file of one frame")
+    if file_size(path) > _MAX_BYTES:
+        raise SourceError(path, f"has more than {_MAX_BYTES >> 20} MB, which is no file of one frame")
     content = load_json(path)
     people = content.get(PEOPLE) if isinstance(content, Mapping) else None
     if not isinstance(people, list):
@@ -111,7 +111,7 @@ def keypoint_rows(path: Path, where: str, values: Any) -> np.ndarray[Any, np.dty
     SourceError
         The values are not such a list.
     """
-    if not isinstance(values, list) or len(values) % 3 or not 3 <= len(values) <= 3 * MOST_KEYPOINTS:
+    if not isinstance(values, list) or len(values) % 3 or not 3 <= len(values) <= 3 * MAX_KEYPOINTS:
         got = f"{len(values)} values" if isinstance(values, list) else "something else"
         raise SourceError(path, f"{where}: expected a list of x, y and confidence of each keypoint, got {got}")
     if not all(value is None or isinstance(value, float) for value in values):
@@ -138,7 +138,7 @@ OTHER_NAMES = {"head": "head_top", "hip": "mid_hip"}
 
 _OWN = re.compile(r'"(instance_info|instances|keypoint_scores|frame_id)"|"keypoints"\s*:\s*\[\s*\[')
 _MMPOSE_IDS = ("track_id", "person_id", "instance_id")
-_MOST_FRAMES = 2_000_000
+_MAX_FRAMES = 2_000_000
 
 
 def are_mmpose(files: Sequence[Path]) -> bool:
@@ -169,7 +169,7 @@ def read_mmpose(files: Sequence[Path]) -> SeenPersons:
         content = load_json(path)
         header = content if isinstance(content, Mapping) else {}
         entries = header.get("instance_info", header.get(INSTANCES)) if header else content
-        if not isinstance(entries, list) or len(entries) > _MOST_FRAMES:
+        if not isinstance(entries, list) or len(entries) > _MAX_FRAMES:
             raise SourceError(
                 path, f'expected keypoints of MMPose, {{"instance_info": [{{"frame_id": 0, "{INSTANCES}": […]}}]}}'
             )
@@ -219,7 +219,7 @@ def _add(seen: SeenPersons, path: Path, where: str, number: int, persons: Sequen
 def _mmpose_person(path: Path, where: str, content: Any) -> Person | None:
     """Return a person; None for one without any keypoint."""
     points = content.get(MMPOSE_POINTS) if isinstance(content, Mapping) else None
-    if not isinstance(points, list) or not 1 <= len(points) <= MOST_KEYPOINTS:
+    if not isinstance(points, list) or not 1 <= len(points) <= MAX_KEYPOINTS:
         raise SourceError(path, f"{where}: expected an object with `{MMPOSE_POINTS}`, a list of [x, y], and `{SCORES}`")
     scores = content.get(SCORES)
     width = len(points[0]) if isinstance(points[0], list) else 0
@@ -252,7 +252,7 @@ def _mmpose_names(header: Any) -> tuple[str, ...]:
 
 
 _COCO_IDS = ("person_id", "track_id", "instance_id", "idx")  # `id` numbers the entries, it tracks no person
-_MOST_ENTRIES = 2_000_000
+_MAX_ENTRIES = 2_000_000
 
 
 def read_coco_results(path: Path) -> SeenPersons:
@@ -269,7 +269,7 @@ def read_coco_results(path: Path) -> SeenPersons:
     content = load_json(path)
     if isinstance(content, Mapping) and isinstance(content.get("annotations"), list):
         content = content["annotations"]
-    if not isinstance(content, list) or len(content) > _MOST_ENTRIES:
+    if not isinstance(content, list) or len(content) > _MAX_ENTRIES:
         raise SourceError(path, 'expected COCO results, a list of {"image_id": …, "keypoints": [x, y, c, …]}')
     seen = SeenPersons(path)
     keypoints = 0

@@ -13,7 +13,7 @@ from kinedex.ops.errors import SourceError
 
 F64 = npt.NDArray[np.float64]
 
-MOST_PERSONS = 1000
+MAX_PERSONS = 1000
 """The largest number of persons in a frame."""
 
 FARTHEST_PX = 1e6
@@ -128,9 +128,9 @@ def chosen_persons(seen: SeenPersons, choice: str) -> dict[int, F64]:
 
 
 def refuse_crowds(path: Path, where: str, persons: Sequence[object]) -> None:
-    """Raise an error for a frame with more persons than `MOST_PERSONS`."""
-    if len(persons) > MOST_PERSONS:
-        raise SourceError(path, f"{where}: has {len(persons)} persons, and {MOST_PERSONS} are read at most")
+    """Raise an error for a frame with more persons than `MAX_PERSONS`."""
+    if len(persons) > MAX_PERSONS:
+        raise SourceError(path, f"{where}: has {len(persons)} persons, and {MAX_PERSONS} are read at most")
 
 
 def _box_size(person: Person) -> float:

@@ -9,9 +9,9 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 
+from kinedex.catalog.camera_recordings import CameraRecording, RecordingsFile
 from kinedex.catalog.cameras import Camera, observed_rays
 from kinedex.catalog.keypoint_sets import KeypointSet, load_keypoint_set
-from kinedex.catalog.recordings import CameraRecording, RecordingsFile
 from kinedex.ops.body.kinematic_chain import ChainBody
 from kinedex.ops.errors import ConfigError, SourceError, did_you_mean
 from kinedex.ops.tracking.observations import BodyPoints, Rays
@@ -28,7 +28,7 @@ F64 = npt.NDArray[np.float64]
 _ENDINGS = {"cameras": ENDINGS, "keypoints": (".json",), "silhouettes": (".png",)}
 """A dict from key of a recording to the extensions of the files that are read if the key names a folder."""
 
-_MOST_LISTED, _MOST_IDS = 26, 8  # most keypoints, and ids of persons, listed in a note
+_MAX_LISTED, _MAX_IDS = 26, 8  # most keypoints, and ids of persons, listed in a note
 
 
 @dataclass(frozen=True)
@@ -123,7 +123,7 @@ def read_recording(file: RecordingsFile, name: str) -> Recording:
     Parameters
     ----------
     file : RecordingsFile
-        The file of recordings, see `kinedex.catalog.recordings.load_recordings`.
+        The file of recordings, see `kinedex.catalog.camera_recordings.load_recordings`.
     name : str
         The name of one of them, with cameras.
 
@@ -315,7 +315,7 @@ def _mask_arrays(files: CameraFiles) -> dict[str, tuple[Path, str]]:
 
 def _set_notes(keypoints: KeypointArrays) -> list[str]:
     """Return notes on the keypoint set, and on the keypoints that are not used."""
-    some, more = keypoints.unused[:_MOST_LISTED], len(keypoints.unused) - _MOST_LISTED
+    some, more = keypoints.unused[:_MAX_LISTED], len(keypoints.unused) - _MAX_LISTED
     listed = ", ".join(some) + (f" and {more} more" if more > 0 else "")
     unused = [f"not used, for want of a place on the body or of any image: {listed}"]
     return [f"keypoints are those of {keypoints.keypoint_set.name}", *(unused if keypoints.unused else [])]
@@ -327,8 +327,8 @@ def _person_notes(seen: Iterable[SeenPersons], choice: str, counts: RecordingCou
     if not images:
         return []
     ids = sorted({one.called for camera in seen for those in camera.frames.values() for one in those if one.called})
-    more = f" and {len(ids) - _MOST_IDS} more" if len(ids) > _MOST_IDS else ""
-    listed = f"an id ({', '.join(ids[:_MOST_IDS])}{more})" if ids else "an id, of which the files have none"
+    more = f" and {len(ids) - _MAX_IDS} more" if len(ids) > _MAX_IDS else ""
+    listed = f"an id ({', '.join(ids[:_MAX_IDS])}{more})" if ids else "an id, of which the files have none"
     rules = {
         LARGEST: "the one whose box of keypoints is largest in the image",
         MOST_CONFIDENT: "the one whose confidences have the greatest sum",

@@ -7,8 +7,8 @@ from collections.abc import Sequence
 import numpy as np
 import numpy.typing as npt
 
+from kinedex.catalog.camera_recordings import RecordingsFile
 from kinedex.catalog.cameras import Camera, observed_rays
-from kinedex.catalog.recordings import RecordingsFile
 from kinedex.ops.body.up_axis import up_axis
 from kinedex.ops.tracking.triangulation import triangulate
 from kinedex.storage.formats.cameras.calibrations import UNITS_M
@@ -16,7 +16,7 @@ from kinedex.storage.formats.cameras.keypoint_files import KeypointArrays
 
 F64 = npt.NDArray[np.float64]
 
-LEAST_CONFIDENCE = 0.1
+MIN_CONFIDENCE = 0.1
 """Minimum confidence of a keypoint that counts as seen."""
 
 TRUNK_M = (0.2, 0.9)
@@ -28,7 +28,7 @@ LIMBS = {
 }  # fmt: skip
 """A dict from limb to the two joints at its ends."""
 
-LONGEST_LIMB_M, MOST_UNLIKE = 0.75, 1.5
+LONGEST_LIMB_M, MAX_UNLIKE = 0.75, 1.5
 """The longest plausible limb in metres, and the left-to-right length ratio that suggests a misnamed keypoint."""
 
 BAD_CAMERA = 3.0
@@ -36,9 +36,9 @@ BAD_CAMERA = 3.0
 
 _APART_M = 0.01
 _FAR = 0.1  # share of the image's width and height, beyond its border
-_MOST_FAR = 0.1  # largest share of a camera's keypoints that may be so far outside
+_MAX_FAR = 0.1  # largest share of a camera's keypoints that may be so far outside
 _SAMPLE = 200  # frames that are checked
-_LEAST_POINTS = 20
+_MIN_POINTS = 20
 
 
 def check_cameras(file: RecordingsFile, name: str, cameras: Sequence[Camera], notes: Sequence[str]) -> None:
@@ -86,7 +86,7 @@ def check_keypoints(
         Keypoints lie far outside the images, no frame is seen by two cameras, the rays meet behind a camera, or the
         body has an impossible size.
     """
-    seen = keypoints.confidence >= LEAST_CONFIDENCE
+    seen = keypoints.confidence >= MIN_CONFIDENCE
     outside = 0
     for v, camera in enumerate(cameras):
         outside += _refuse_far(file, name, camera, keypoints.pixels[:, v][seen[:, v]])
@@ -101,8 +101,8 @@ def check_keypoints(
     pixels, confidence = keypoints.pixels[frames], keypoints.confidence[frames]
     _refuse_behind(file, name, cameras, pixels, np.where(seen[frames], confidence, 0.0))
     points, count = triangulate(observed_rays(cameras, pixels, confidence))
-    places = keypoints.keypoint_set.places
-    joints = {places[key].joint: points[:, p].T for p, key in enumerate(keypoints.names) if places[key].joint}
+    positions = keypoints.keypoint_set.positions
+    joints = {positions[key].joint: points[:, p].T for p, key in enumerate(keypoints.names) if positions[key].joint}
     _refuse_size(file, name, joints, unit)
     notes = _residual_notes(cameras, pixels, np.where(seen[frames], confidence, 0.0), points)
     notes += _limb_notes(keypoints, joints)
@@ -122,7 +122,7 @@ def _refuse_far(file: RecordingsFile, name: str, camera: Camera, pixels: F64) ->
     far = ((pixels < -_FAR * size) | (pixels > (1 + _FAR) * size)).any(axis=1)
     highest = np.quantile(pixels, 0.95, axis=0)
     guess = "are they keypoints of this camera, and of images of this size?"
-    if far.mean() > _MOST_FAR:
+    if far.mean() > _MAX_FAR:
         raise file.error(
             name, "keypoints", f"{100 * far.mean():.0f} % of the keypoints of camera '{camera.name}' lie far outside "
             f"its {size[0]} × {size[1]} pixels, up to ({highest[0]:.0f}, {highest[1]:.0f}); {guess}",
@@ -164,7 +164,7 @@ def _refuse_size(file: RecordingsFile, name: str, joints: dict[str, F64], used: 
     hips, shoulders = joints["lhip"] + joints["rhip"], joints["lshoulder"] + joints["rshoulder"]
     lengths = np.linalg.norm(hips - shoulders, axis=0) / 2
     lengths = lengths[np.isfinite(lengths)]
-    if len(lengths) < min(_LEAST_POINTS, hips.shape[1]) or TRUNK_M[0] <= np.median(lengths) <= TRUNK_M[1]:
+    if len(lengths) < min(_MIN_POINTS, hips.shape[1]) or TRUNK_M[0] <= np.median(lengths) <= TRUNK_M[1]:
         return
     length = float(np.median(lengths))
     lengths_m = {unit: length * unit_m / UNITS_M[used] for unit, unit_m in UNITS_M.items()}
@@ -191,7 +191,7 @@ def _limb_notes(keypoints: KeypointArrays, joints: dict[str, F64]) -> list[str]:
         if min(len(one) for one in seen) == 0:
             continue
         left, right = (float(np.median(one)) for one in seen)
-        if max(left, right) > MOST_UNLIKE * min(left, right) or max(left, right) > LONGEST_LIMB_M:
+        if max(left, right) > MAX_UNLIKE * min(left, right) or max(left, right) > LONGEST_LIMB_M:
             wrong.append(f"{limb} {left:.2f} m on the left, {right:.2f} m on the right")
     name = keypoints.keypoint_set.name
     return [f"limbs have lengths of no body ({'; '.join(wrong)}); are the keypoints those of {name}?"] if wrong else []
@@ -203,7 +203,7 @@ def _residual_notes(cameras: Sequence[Camera], pixels: F64, weights: F64, points
     for v, camera in enumerate(cameras):
         errors = np.linalg.norm(camera.project(points)[0] - pixels[:, v], axis=-1)[weights[:, v] > 0]
         errors = errors[np.isfinite(errors)]
-        medians.append(float(np.median(errors)) if len(errors) >= _LEAST_POINTS else np.nan)
+        medians.append(float(np.median(errors)) if len(errors) >= _MIN_POINTS else np.nan)
     notes = []
     for v, camera in enumerate(cameras):
         others = [median for w, median in enumerate(medians) if w != v and np.isfinite(median)]

@@ -13,7 +13,7 @@ from pydantic import BaseModel, ConfigDict, Field
 from kinedex.catalog.configs import Located, parse_yaml
 from kinedex.catalog.depth_cameras import FASTEST_HZ, DepthCamera
 from kinedex.ops.errors import ConfigError, ParameterError
-from kinedex.storage.disk import whole_file
+from kinedex.storage.durable_files import whole_file
 from kinedex.storage.formats.cameras.camera_values import numbers_of
 from kinedex.storage.formats.source_files import load_json, read_bytes, utf8_text
 
@@ -190,7 +190,7 @@ def _number(located: Located, at: tuple[str, ...], content: Mapping[str, Any], k
 TUM_UNIT_M = 1 / 5000
 """Metres per unit of the images of TUM RGB-D."""
 
-MOST_BYTES = 1 << 20
+MAX_BYTES = 1 << 20
 """The largest size of a camera file in bytes."""
 
 _ENDINGS = (".yaml", ".yml", ".json", ".txt")
@@ -398,6 +398,6 @@ def _tum_camera(path: Path, text: str, size: tuple[int, int] | None) -> DepthCam
 
 def _text(path: Path) -> str:
     data = read_bytes(path, "files of a camera", "write one camera a file")
-    if len(data) > MOST_BYTES:
-        raise ConfigError(path, f"has {len(data) / 1e6:.1f} MB, and the file of a camera {MOST_BYTES >> 20} MB at most")
+    if len(data) > MAX_BYTES:
+        raise ConfigError(path, f"has {len(data) / 1e6:.1f} MB, and the file of a camera {MAX_BYTES >> 20} MB at most")
     return utf8_text(path, data, ConfigError)

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from kinedex.catalog.depth_cameras import FARTHEST_M, MOST_PIXELS, DepthCamera
+from kinedex.catalog.depth_cameras import FARTHEST_M, MAX_PIXELS, DepthCamera
 from kinedex.ops.errors import SourceError
 from kinedex.storage.formats.depth.png import size_fault
 from kinedex.storage.formats.source_files import as_number, part_of
@@ -18,16 +18,16 @@ from kinedex.storage.formats.source_files import as_number, part_of
 F32 = npt.NDArray[np.float32]
 F64 = npt.NDArray[np.float64]
 
-MOST_BYTES = 1 << 28
+MAX_BYTES = 1 << 28
 """The largest size in memory of the cloud of a frame, in bytes."""
 
-MOST_POINTS = MOST_PIXELS
+MAX_POINTS = MAX_PIXELS
 """The largest number of points in the cloud of a frame."""
 
-_LEAST_POINTS = 100
+_MIN_POINTS = 100
 _NEAREST = 1e-6  # metres; nearer points have no defined direction
-_LEAST_BEFORE = 0.9  # share of points; some programs leave a few behind the camera
-_MOST_RESIDUAL_PX = 1.0
+_MIN_BEFORE = 0.9  # share of points; some programs leave a few behind the camera
+_MAX_RESIDUAL_PX = 1.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -67,7 +67,7 @@ def cloud_of(path: Path, points: F64, size: tuple[int, int] | None) -> Cloud:
         before = int((known & (z > 0)).sum())
     if not before and known.any():
         points[:, 1:] *= -1.0
-    elif before < _LEAST_BEFORE * int(known.sum()):
+    elif before < _MIN_BEFORE * int(known.sum()):
         raise SourceError(
             path, f"{int(known.sum()) - before} of {int(known.sum())} points lie behind the camera; expected its own "
             "axes, x right, y down, z forward: write clouds before they are turned into a world",
@@ -111,8 +111,8 @@ def cloud_depths(cloud: Cloud, camera: DepthCamera, unit_m: float = 1.0) -> F32:
         u, v = np.floor(pixels + 0.5).T
         inside = (u >= 0) & (u < width) & (v >= 0) & (v < height)
     depths = np.full((height, width), np.inf, np.float32)
-    places = v[inside].astype(np.int64), u[inside].astype(np.int64)
-    np.minimum.at(depths, places, (unit_m * points[inside, 2]).astype(np.float32))
+    positions = v[inside].astype(np.int64), u[inside].astype(np.int64)
+    np.minimum.at(depths, positions, (unit_m * points[inside, 2]).astype(np.float32))
     return np.where(np.isfinite(depths), depths, np.float32(0.0))
 
 
@@ -126,7 +126,7 @@ def fitted_matrix(cloud: Cloud) -> F64:
     """
     found = _fit(cloud)
     matrix, residual = found
-    if not (matrix[0, 0] >= 1 and matrix[1, 1] >= 1 and residual <= _MOST_RESIDUAL_PX):
+    if not (matrix[0, 0] >= 1 and matrix[1, 1] >= 1 and residual <= _MAX_RESIDUAL_PX):
         raise SourceError(
             cloud.path, f"rows and columns are no image of a pinhole camera: fx {matrix[0, 0]:.4g}, fy "
             f"{matrix[1, 1]:.4g}, {residual:.3g} pixels off in the mean; give the recording a camera",
@@ -145,16 +145,16 @@ def check_camera(cloud: Cloud, camera: DepthCamera) -> None:
     if cloud.size != camera.size:
         raise SourceError(cloud.path, size_fault(cloud.size or (0, 0), camera.size))
     known = np.flatnonzero(np.isfinite(cloud.points[:, 2]))
-    if len(known) < _LEAST_POINTS:
+    if len(known) < _MIN_POINTS:
         return
     pixels, _ = camera.project(cloud.points[known])
     grid = np.stack([known % camera.size[0], known // camera.size[0]], axis=1)
     off = float(np.nanmedian(np.linalg.norm(pixels - grid, axis=1)))
-    if not off <= _MOST_RESIDUAL_PX:
+    if not off <= _MAX_RESIDUAL_PX:
         matrix, residual = _fit(cloud)
         fits = (
             f"; fx {matrix[0, 0]:.5g}, fy {matrix[1, 1]:.5g}, cx {matrix[0, 2]:.5g}, cy {matrix[1, 2]:.5g} fit"
-            if residual <= _MOST_RESIDUAL_PX
+            if residual <= _MAX_RESIDUAL_PX
             else ""
         )
         raise SourceError(
@@ -171,19 +171,19 @@ def _fit(cloud: Cloud) -> tuple[F64, float]:
         The cloud has no rows and columns, or too few points.
     """
     known = np.flatnonzero(np.isfinite(cloud.points[:, 2]))
-    if cloud.size is None or len(known) < _LEAST_POINTS:
+    if cloud.size is None or len(known) < _MIN_POINTS:
         raise SourceError(
             cloud.path, "no intrinsics follow from a cloud without rows and columns, or with fewer than "
-            f"{_LEAST_POINTS} points; give the recording a camera",
+            f"{_MIN_POINTS} points; give the recording a camera",
         )  # fmt: skip
     x, y, z = cloud.points[known].T
     matrix = np.eye(3)
     total = np.zeros(len(known))
-    for row, ratios, places in ((0, x / z, known % cloud.size[0]), (1, y / z, known // cloud.size[0])):
+    for row, ratios, positions in ((0, x / z, known % cloud.size[0]), (1, y / z, known // cloud.size[0])):
         design = np.stack([ratios, np.ones(len(known))], axis=1)
-        (focal, centre), *_ = np.linalg.lstsq(design, places.astype(np.float64))
+        (focal, centre), *_ = np.linalg.lstsq(design, positions.astype(np.float64))
         matrix[row, row], matrix[row, 2] = focal, centre
-        total += (design @ [focal, centre] - places) ** 2
+        total += (design @ [focal, centre] - positions) ** 2
     return matrix, float(np.sqrt(total).mean())
 
 
@@ -195,8 +195,8 @@ def refuse_size(path: Path, points: int, record: int) -> None:
     SourceError
         The cloud would take more memory than any frame.
     """
-    if not 0 < points <= MOST_POINTS or points * max(record, 24) > MOST_BYTES:
-        raise SourceError(path, f"claims {points:,} points of {record} bytes, and a frame has 1 to {MOST_POINTS:,}")
+    if not 0 < points <= MAX_POINTS or points * max(record, 24) > MAX_BYTES:
+        raise SourceError(path, f"claims {points:,} points of {record} bytes, and a frame has 1 to {MAX_POINTS:,}")
 
 
 def number_rows(path: Path, data: bytes, rows: int, columns: int, line: int, last: bool = True) -> F64:
@@ -278,7 +278,7 @@ def as_points(columns: Sequence[npt.NDArray[Any]]) -> F64:
 
 def cloud_bytes(path: Path) -> bytes:
     """Return the bytes of a file; raise SourceError if it cannot be read or is larger than a frame can be."""
-    data = part_of(path, MOST_BYTES + 1)
-    if len(data) > MOST_BYTES:
-        raise SourceError(path, f"has more than {MOST_BYTES >> 20} MB; write a file for each frame")
+    data = part_of(path, MAX_BYTES + 1)
+    if len(data) > MAX_BYTES:
+        raise SourceError(path, f"has more than {MAX_BYTES >> 20} MB; write a file for each frame")
     return data

@@ -13,7 +13,7 @@ import numpy.typing as npt
 
 from kinedex.ops.errors import KinedexError, SourceError
 from kinedex.ops.local_paths import refuse_addresses
-from kinedex.storage.formats.cameras.file_patterns import MOST_FILES, find_files
+from kinedex.storage.formats.cameras.file_patterns import MAX_FILES, find_files
 from kinedex.storage.formats.depth.png import frame_number
 from kinedex.storage.formats.source_files import read_bytes
 
@@ -40,9 +40,9 @@ CONVERTERS[".mcap"] = CONVERTERS[".db3"]
 
 _TIME = re.compile(r"(?:.*[^0-9.])?([0-9]{9,14}\.[0-9]+)")
 _SECONDS_DIGITS = 11  # digits; a longer whole part counts milliseconds
-_MOST_STEP, _MOST_TIMED_STEP = 5, 1.5  # most frames from one file to the next, in the median
-_MOST_SPAN, _LEAST_SPAN = 10, 1000  # most frames of a recording per file, and a span that is always allowed
-_MOST_RATE_ERROR = 0.02
+_MAX_STEP, _MAX_TIMED_STEP = 5, 1.5  # most frames from one file to the next, in the median
+_MAX_SPAN, _MIN_SPAN = 10, 1000  # most frames of a recording per file, and a span that is always allowed
+_MAX_RATE_ERROR = 0.02
 
 
 @dataclass(frozen=True, eq=False)
@@ -87,7 +87,7 @@ class FrameFiles:
         found = self._timed(self.times, rate_hz) if timed else self._numbered()  # type: ignore[arg-type]
         first, last = min(found), max(found)
         count = len(found)
-        if last - first >= _MOST_SPAN * count + _LEAST_SPAN:
+        if last - first >= _MAX_SPAN * count + _MIN_SPAN:
             raise SourceError(
                 found[last], f"most of the frames {first} to {last} are missing: {count} files have numbers or times "
                 "so far apart; name the files of one recording",
@@ -103,7 +103,7 @@ class FrameFiles:
                 raise SourceError(path, f"has the frame number {number}, as {found[number].name} has")
             found[number] = path
         steps = np.diff(sorted(found))
-        if len(steps) and np.median(steps) > _MOST_STEP:
+        if len(steps) and np.median(steps) > _MAX_STEP:
             raise SourceError(
                 self.files[0], f"the last numbers in the names go up by {np.median(steps):g} in the median, and must "
                 "count frames; rename the files (depth_000000.png, depth_000001.png, …)",
@@ -119,7 +119,7 @@ class FrameFiles:
             found[last] = path
         due = float(times[-1] - times[0]) * rate_hz
         step = rate_hz / (self.rate_hz() or rate_hz)
-        if abs(last - due) > max(2.0, _MOST_RATE_ERROR * due) or step > _MOST_TIMED_STEP:
+        if abs(last - due) > max(2.0, _MAX_RATE_ERROR * due) or step > _MAX_TIMED_STEP:
             raise SourceError(
                 self.files[0], f"{len(times)} frames in {times[-1] - times[0]:.2f} s are not {rate_hz:g} frames per "
                 f"second; `rate_hz: {self.rate_hz() or 0:.4g}` fits the times in the names or the list",
@@ -226,6 +226,6 @@ def _listed(path: Path) -> FrameFiles:
             raise SourceError(path, f"expected a PNG file, got {words[1][:80]!r}", line=number)
         files.append(path.parent / place)
         times.append(time)
-    if not 1 <= len(files) <= MOST_FILES:
+    if not 1 <= len(files) <= MAX_FILES:
         raise SourceError(path, f"lists {len(files)} frames; expected lines with a time in seconds and a PNG file")
     return _in_order(files, np.array(times))

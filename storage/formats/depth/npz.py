@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from kinedex.catalog.depth_cameras import FASTEST_HZ, MOST_PIXELS, DepthCamera
+from kinedex.catalog.depth_cameras import FASTEST_HZ, MAX_PIXELS, DepthCamera
 from kinedex.ops.errors import ParameterError, SourceError
 from kinedex.storage.formats.depth.png import size_fault
 from kinedex.storage.formats.motion.numpy_arrays import load_arrays, npy_header
@@ -20,7 +20,7 @@ from kinedex.storage.formats.motion.numpy_arrays import load_arrays, npy_header
 F32 = npt.NDArray[np.float32]
 F64 = npt.NDArray[np.float64]
 
-MOST_FRAMES = 2_000_000
+MAX_FRAMES = 2_000_000
 """The largest number of images in an array."""
 
 _ARRAY = "depth"
@@ -182,7 +182,7 @@ def _layout(path: Path) -> tuple[tuple[int, int, int], str, int]:
         )  # fmt: skip
     if fortran:
         raise SourceError(path, f"'{_ARRAY}' is stored by columns; write numpy.ascontiguousarray({_ARRAY})")
-    if shape[1] * shape[2] > MOST_PIXELS or shape[0] > MOST_FRAMES:
+    if shape[1] * shape[2] > MAX_PIXELS or shape[0] > MAX_FRAMES:
         raise SourceError(path, f"'{_ARRAY}' claims {shape[0]:,} images of {shape[2]:,} × {shape[1]:,} pixels")
     if math.prod(shape) * dtype.itemsize != size - start:
         raise SourceError(

@@ -12,8 +12,8 @@ import numpy.typing as npt
 from kinedex.ops.depth.lzf import decompress
 from kinedex.ops.errors import ParameterError, SourceError
 from kinedex.storage.formats.depth.clouds import (
-    MOST_BYTES,
-    MOST_POINTS,
+    MAX_BYTES,
+    MAX_POINTS,
     Cloud,
     as_points,
     check_bytes,
@@ -26,9 +26,9 @@ from kinedex.storage.formats.depth.clouds import (
 
 F64 = npt.NDArray[np.float64]
 
-_MOST_HEADER = 1 << 16
-_MOST_FILL = 1 << 16
-_MOST_FIELDS, _MOST_COUNT = 256, 1024
+_MAX_HEADER = 1 << 16
+_MAX_FILL = 1 << 16
+_MAX_FIELDS, _MAX_COUNT = 256, 1024
 _KEYS = ("FIELDS", "SIZE", "TYPE", "WIDTH", "HEIGHT")
 _PCD_TYPES = {
     **{f"F{size}": f"<f{size}" for size in (4, 8)},
@@ -97,7 +97,7 @@ def _pcd_header(path: Path, data: bytes) -> _PcdHeader:
     found: dict[str, list[str]] = {}
     start = number = 0
     while "DATA" not in found:
-        end = data.find(b"\n", start, _MOST_HEADER)
+        end = data.find(b"\n", start, _MAX_HEADER)
         if end < 0:
             raise SourceError(path, "is no PCD: no line DATA in its first 64 KB")
         words = data[start:end].decode("latin-1").split("#")[0].split()
@@ -112,10 +112,10 @@ def _pcd_header(path: Path, data: bytes) -> _PcdHeader:
     names = tuple(found["FIELDS"])
     counts = tuple(_whole(path, "COUNT", word) for word in found.get("COUNT", ["1"] * len(names)))
     kinds = [f"{kind}{size}" for kind, size in zip(found["TYPE"], found["SIZE"], strict=False)]
-    if not len(names) == len(counts) == len(found["TYPE"]) == len(found["SIZE"]) or not 0 < len(names) <= _MOST_FIELDS:
+    if not len(names) == len(counts) == len(found["TYPE"]) == len(found["SIZE"]) or not 0 < len(names) <= _MAX_FIELDS:
         raise SourceError(path, "FIELDS, SIZE, TYPE and COUNT must have as many entries, 1 to 256")
     other = next((kind for kind in kinds if kind not in _PCD_TYPES), None)
-    if other is not None or not all(1 <= count <= _MOST_COUNT for count in counts):
+    if other is not None or not all(1 <= count <= _MAX_COUNT for count in counts):
         known = "F of 4 or 8 bytes, I or U of 1, 2, 4 or 8, and COUNT 1 to 1024"
         raise SourceError(path, f"expected TYPE and SIZE {known}, got {(other or 'a larger COUNT')[:40]}")
     width, height = (_whole(path, key, " ".join(found[key])) for key in ("WIDTH", "HEIGHT"))
@@ -138,38 +138,38 @@ def _whole(path: Path, key: str, word: str) -> int:
 
 def _places(path: Path, header: _PcdHeader) -> list[int]:
     """Return the indices of the fields x, y and z."""
-    places = []
+    positions = []
     for axis in "xyz":
         if header.names.count(axis) != 1 or header.counts[header.names.index(axis)] != 1:
             raise SourceError(path, f"expected the fields x, y and z once, with COUNT 1; got {axis} otherwise")
-        places.append(header.names.index(axis))
-    return places
+        positions.append(header.names.index(axis))
+    return positions
 
 
 def _pcd_ascii(path: Path, header: _PcdHeader, data: bytes) -> F64:
-    places = _places(path, header)
+    positions = _places(path, header)
     firsts = np.cumsum([0, *header.counts])
     rows = number_rows(path, data[header.start :], header.points, int(firsts[-1]), header.lines + 1)
-    return np.ascontiguousarray(rows[:, [int(firsts[place]) for place in places]])
+    return np.ascontiguousarray(rows[:, [int(firsts[place]) for place in positions]])
 
 
 def _pcd_binary(path: Path, header: _PcdHeader, data: bytes) -> F64:
     """Return the points of binary data, in which one record follows the other."""
-    places, record = _places(path, header), sum(header.sizes)
+    positions, record = _places(path, header), sum(header.sizes)
     _check_bytes(path, header.points * record, data, header.start)
     offsets = np.cumsum([0, *header.sizes])
-    types = [header.types[place] for place in places]
-    return record_points(data, header.start, header.points, record, types, [int(offsets[place]) for place in places])
+    types = [header.types[place] for place in positions]
+    return record_points(data, header.start, header.points, record, types, [int(offsets[place]) for place in positions])
 
 
 def _compressed(path: Path, header: _PcdHeader, data: bytes) -> F64:
     """Return the points of compressed data, in which all values of a field come before those of the next."""
-    places, record = _places(path, header), sum(header.sizes)
+    positions, record = _places(path, header), sum(header.sizes)
     if len(data) < header.start + 8:
         raise SourceError(path, "is cut off after its header")
     packed, unpacked = struct.unpack_from("<II", data, header.start)
     _check_bytes(path, packed, data, header.start + 8)
-    if unpacked != header.points * record or unpacked > MOST_BYTES:
+    if unpacked != header.points * record or unpacked > MAX_BYTES:
         raise SourceError(path, f"claims {unpacked:,} bytes for {header.points:,} points of {record} bytes")
     try:
         fields = decompress(data[header.start + 8 : header.start + 8 + packed], unpacked)
@@ -177,19 +177,19 @@ def _compressed(path: Path, header: _PcdHeader, data: bytes) -> F64:
         raise SourceError(path, f"its compressed data are damaged: {fault}") from None
     offsets = header.points * np.cumsum([0, *header.sizes])
     return as_points(
-        [np.frombuffer(fields, header.types[place], header.points, int(offsets[place])) for place in places]
+        [np.frombuffer(fields, header.types[place], header.points, int(offsets[place])) for place in positions]
     )
 
 
 def _check_bytes(path: Path, claimed: int, data: bytes, start: int) -> None:
     """Raise an error for fewer or more bytes than claimed; zeros up to a whole memory page at the end are allowed."""
     found = len(data) - start
-    if not (claimed < found <= claimed + _MOST_FILL and not data[start + claimed :].strip(b"\0\n")):
+    if not (claimed < found <= claimed + _MAX_FILL and not data[start + claimed :].strip(b"\0\n")):
         check_bytes(path, claimed, found)
 
 
-_MOST_PROPERTIES = 1024
-_MOST_ELEMENTS = 10**12
+_MAX_PROPERTIES = 1024
+_MAX_ELEMENTS = 10**12
 _ORDERS = {"ascii": "", "binary_little_endian": "<", "binary_big_endian": ">"}
 _PLY_TYPES = {
     "char": "i1", "uchar": "u1", "short": "i2", "ushort": "u2", "int": "i4", "uint": "u4", "float": "f4",
@@ -254,7 +254,7 @@ def read_ply(path: str | Path) -> Cloud:
 
 def _ply_header(path: Path, data: bytes) -> tuple[str, list[_Element], int, int]:
     """Return byte order, elements, the byte offset of the data, and the number of lines of the header."""
-    stop = data.find(b"end_header", 0, _MOST_HEADER)
+    stop = data.find(b"end_header", 0, _MAX_HEADER)
     end = data.find(b"\n", stop) if stop >= 0 else -1
     if data[:3] != b"ply" or end < 0:
         raise SourceError(path, "is no PLY: expected `ply` at the beginning, and `end_header` in its first 64 KB")
@@ -270,8 +270,8 @@ def _ply_header(path: Path, data: bytes) -> tuple[str, list[_Element], int, int]
         elif words[0] == "element" and len(words) == 3 and _is_count(words[2]):
             elements.append(_Element(words[1], int(words[2])))
         elif words[0] == "property" and elements and _is_property(words):
-            if len(elements[-1].names) == _MOST_PROPERTIES:
-                raise SourceError(path, f"has more than {_MOST_PROPERTIES} properties", line=number)
+            if len(elements[-1].names) == _MAX_PROPERTIES:
+                raise SourceError(path, f"has more than {_MAX_PROPERTIES} properties", line=number)
             elements[-1].names.append(words[-1])
             elements[-1].types.append("" if words[1] == "list" else _PLY_TYPES[words[1]])
         else:
@@ -282,7 +282,7 @@ def _ply_header(path: Path, data: bytes) -> tuple[str, list[_Element], int, int]
 
 
 def _is_count(word: str) -> bool:
-    return word.isascii() and word.isdigit() and len(word) <= 13 and int(word) <= _MOST_ELEMENTS
+    return word.isascii() and word.isdigit() and len(word) <= 13 and int(word) <= _MAX_ELEMENTS
 
 
 def _is_property(words: list[str]) -> bool:
@@ -299,18 +299,18 @@ def _ply_binary(path: Path, data: bytes, order: str, before: list[_Element], ver
     if last or len(data) < skipped + size:
         check_bytes(path, skipped + size, len(data))
     offsets = np.cumsum([0, *(np.dtype(one).itemsize for one in vertices.types)])
-    places = [vertices.names.index(axis) for axis in "xyz"]
-    types = [order + vertices.types[place] for place in places]
+    positions = [vertices.names.index(axis) for axis in "xyz"]
+    types = [order + vertices.types[place] for place in positions]
     return record_points(
-        data, skipped, vertices.rows, vertices.record, types, [int(offsets[place]) for place in places]
+        data, skipped, vertices.rows, vertices.record, types, [int(offsets[place]) for place in positions]
     )
 
 
 def _ply_ascii(path: Path, data: bytes, line: int, before: list[_Element], vertices: _Element, last: bool) -> F64:
     """Return x, y, z (n, 3) of the vertices of text."""
     skipped = sum(one.rows for one in before)
-    if skipped > MOST_POINTS:
-        raise SourceError(path, f"claims {skipped:,} rows before its vertices, and a frame has {MOST_POINTS:,} points")
+    if skipped > MAX_POINTS:
+        raise SourceError(path, f"claims {skipped:,} rows before its vertices, and a frame has {MAX_POINTS:,} points")
     start = 0
     for _ in range(skipped):
         start = data.find(b"\n", start) + 1

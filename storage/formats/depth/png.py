@@ -11,9 +11,9 @@ import numpy as np
 import numpy.typing as npt
 from PIL import Image
 
-from kinedex.catalog.depth_cameras import MOST_PIXELS, NOT_MEASURED, DepthCamera
+from kinedex.catalog.depth_cameras import MAX_PIXELS, NOT_MEASURED, DepthCamera
 from kinedex.ops.errors import ParameterError, SourceError
-from kinedex.storage.disk import whole_file
+from kinedex.storage.durable_files import whole_file
 
 F32 = npt.NDArray[np.float32]
 U16 = npt.NDArray[np.uint16]
@@ -155,8 +155,8 @@ def _opened(path: Path) -> Image.Image:
             f"expected depth in a 16-bit grey PNG, got {kind} (Pillow's mode {image.mode}): a picture that has "
             "lost the depths; write the camera's own 16-bit values"
         )
-    elif width * height > MOST_PIXELS:
-        reason = f"has {width} × {height} pixels, and depth images {MOST_PIXELS:,} at most"
+    elif width * height > MAX_PIXELS:
+        reason = f"has {width} × {height} pixels, and depth images {MAX_PIXELS:,} at most"
     if reason:
         image.close()
         raise SourceError(path, reason)

@@ -46,15 +46,15 @@ Read = TypeVar("Read")
 SAMPLE = 10
 """The number of frames, spread over a recording, on which it is checked."""
 
-MOST_BACKGROUND_BYTES = 1 << 28
+MAX_BACKGROUND_BYTES = 1 << 28
 """The largest memory, in bytes, for the frames that a background is measured in; longer recordings are subsampled."""
 
 CAMERA_MOVED = "much lies behind the background; did the camera move?"
 """The end of the note on frames that contradict the background."""
 
-_MOST_TRIES = 50
+_MAX_TRIES = 50
 _YAML = (".yaml", ".yml")
-_MOST_OFF_PX = 1.0
+_MAX_OFF_PX = 1.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -216,11 +216,11 @@ class _Entry:
 
     def compare_matrices(self, camera: DepthCamera, files: FrameFiles, matrix: F64) -> None:
         """Raise an error if the camera contradicts the intrinsics in an NPZ file."""
-        if np.abs(camera.matrix - matrix).max() > _MOST_OFF_PX:
+        if np.abs(camera.matrix - matrix).max() > _MAX_OFF_PX:
             fx, cx, fy, cy = matrix[0, 0], matrix[0, 2], matrix[1, 1], matrix[1, 2]
             raise self.error(
                 "camera", f"contradicts the intrinsics in {files.files[0].name}, fx {fx:g}, fy {fy:g}, cx {cx:g}, cy "
-                f"{cy:g}, by more than {_MOST_OFF_PX:g} pixel; remove this key to use them",
+                f"{cy:g}, by more than {_MAX_OFF_PX:g} pixel; remove this key to use them",
             )  # fmt: skip
 
     def rate_hz(self, camera: DepthCamera, files: FrameFiles, values: NpzValues | None) -> float:
@@ -246,7 +246,7 @@ class _Entry:
         chosen = {present[i] for i in np.linspace(0, len(present) - 1, min(SAMPLE, len(present))).astype(int)}
         images = {t: image for t in sorted(chosen) if (image := frames[t]) is not None}
         if not images:  # all of the sample are damaged: try the first frames
-            for t in present[:_MOST_TRIES]:
+            for t in present[:_MAX_TRIES]:
                 if (image := frames[t]) is not None:
                     return {t: image}
             raise self.error("depth", f"no frame can be read; the first: {next(iter(frames.damaged.values()))}")
@@ -279,7 +279,7 @@ class _Entry:
 
     def _measured_background(self, camera: DepthCamera, frames: DepthFrames, notes: list[str]) -> F32:
         """Return the 90th percentile of each pixel's depths over the frames that fit into memory."""
-        most = max(SAMPLE, MOST_BACKGROUND_BYTES // (4 * camera.size[0] * camera.size[1]))
+        most = max(SAMPLE, MAX_BACKGROUND_BYTES // (4 * camera.size[0] * camera.size[1]))
         present = [number - frames.first for number in frames.source.numbers]
         if len(present) > most:
             present = [present[i] for i in np.linspace(0, len(present) - 1, most).astype(int)]
@@ -354,7 +354,7 @@ def _first_size(files: FrameFiles) -> tuple[int, int] | None:
 def _first_read(files: FrameFiles, read: Callable[[Path], Read]) -> Read:
     """Return what is read from the first file that can be read; if none can, raise the error of the first file."""
     fault: KinedexError | None = None
-    for path in files.files[:_MOST_TRIES]:
+    for path in files.files[:_MAX_TRIES]:
         try:
             return read(path)
         except SourceError as found:

@@ -22,13 +22,13 @@ SMALLEST_M, LARGEST_M = 0.45, 4.5
 PERSON_M = 0.5, 2.3
 """The smallest and largest size of a person in metres, by which the likely unit is chosen."""
 
-MOST_BEHIND = 0.2
+MAX_BEHIND = 0.2
 """The fraction of pixels behind the background above which the camera must have moved."""
 
 OTHER_UNIT = 5.0
 """The ratio between the distances of images and background above which their units differ."""
 
-MOST_ROOM = 0.5
+MAX_ROOM = 0.5
 """The fraction of measured pixels above which the images show the room."""
 
 UNITS_M = (0.001, 0.0001, 0.0002, 0.00025, 0.000125, 0.0005, 0.01, 1.0, 0.0254)
@@ -132,7 +132,7 @@ def _unlikely(extents: Extents, scale: float) -> float:
 def moved_frames(images: Mapping[int, F32], background: F32) -> dict[int, float]:
     """Return a dict from frame to fraction of pixels behind the background, for frames in which it is too large."""
     shares = {frame: behind_share(image, background) for frame, image in images.items()}
-    return {frame: share for frame, share in shares.items() if share > MOST_BEHIND}
+    return {frame: share for frame, share in shares.items() if share > MAX_BEHIND}
 
 
 def other_unit(images: Mapping[int, F32], background: F32) -> float | None:
@@ -153,7 +153,7 @@ def likely_unit(unit_m: float) -> float:
 
 def shows_room(images: Mapping[int, F32]) -> bool:
     """Return True if the images show the room behind the person."""
-    return bool(images) and float(np.median([(image > 0).mean() for image in images.values()])) > MOST_ROOM
+    return bool(images) and float(np.median([(image > 0).mean() for image in images.values()])) > MAX_ROOM
 
 
 def intrinsics_note(camera: DepthCamera) -> str:

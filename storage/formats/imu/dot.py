@@ -14,7 +14,7 @@ import numpy as np
 
 from kinedex.ops.errors import SourceError
 from kinedex.storage.formats.imu.number_rows import separator_of, text_lines
-from kinedex.storage.formats.imu.signals import ENU, Given, RawSensor
+from kinedex.storage.formats.imu.signals import ENU, RawSensor, UserStatements
 from kinedex.storage.formats.imu.xsens_columns import CHANNELS, PACKETS, named_columns, unwrapped
 from kinedex.storage.formats.source_files import as_number
 
@@ -22,7 +22,7 @@ _CLOCK, _COUNTER = "SampleTimeFine", "PacketCounter"
 _WRAP = 1 << 32
 _TICK_S = 1e-6
 _SETTING = re.compile(r'"?(?P<key>[A-Za-z ]{1,40}):?"?[,;:\t] {0,9}"?(?P<value>[^,;\t"]{0,200})')
-_MOST_SETTINGS = 60
+_MAX_SETTINGS = 60
 
 
 def recognises(path: Path, head: bytes) -> bool:
@@ -30,7 +30,7 @@ def recognises(path: Path, head: bytes) -> bool:
     return b"SampleTimeFine" in head and b"PacketCounter" in head and not head.lstrip(b"\xef\xbb\xbf").startswith(b"//")
 
 
-def read(path: Path, given: Given) -> list[RawSensor]:
+def read(path: Path, given: UserStatements) -> list[RawSensor]:
     """Read the sensor of a file.
 
     Raises
@@ -39,7 +39,7 @@ def read(path: Path, given: Given) -> list[RawSensor]:
         The file is damaged; the message names line and column.
     """
     lines = text_lines(path)
-    first = next((i for i, line in enumerate(lines[:_MOST_SETTINGS]) if _CLOCK in line), None)
+    first = next((i for i, line in enumerate(lines[:_MAX_SETTINGS]) if _CLOCK in line), None)
     if first is None:
         raise SourceError(path, f"has no line with the names of its columns, such as PacketCounter,{_CLOCK}")
     settings = {}
@@ -55,10 +55,10 @@ def read(path: Path, given: Given) -> list[RawSensor]:
     sensor.orientation = table.orientation()
     rate = re.match(r"[0-9.]+", settings.get("outputrate", ""))
     sensor.rate_hz = None if rate is None else as_number(rate[0])
-    clock = table.column(_CLOCK) if _CLOCK in table.places else np.array([np.nan])
+    clock = table.column(_CLOCK) if _CLOCK in table.indices else np.array([np.nan])
     if np.isfinite(clock).all():
         ticks = unwrapped(path, clock, table.rows.lines, _WRAP, _CLOCK)
         sensor.times, sensor.absolute = np.asarray(ticks * _TICK_S, np.float64), True
-    elif _COUNTER in table.places:
+    elif _COUNTER in table.indices:
         sensor.steps = unwrapped(path, table.column(_COUNTER), table.rows.lines, PACKETS, _COUNTER)
     return [sensor]

@@ -30,14 +30,14 @@ import numpy as np
 import numpy.typing as npt
 
 from kinedex.ops.errors import KinedexError, SourceError
-from kinedex.storage.formats.imu.signals import NWU, Given, RawSensor
-from kinedex.storage.formats.imu.tables import MOST_ROWS, MOST_SENSORS, layout_of, sensors_of
+from kinedex.storage.formats.imu.signals import NWU, RawSensor, UserStatements
+from kinedex.storage.formats.imu.tables import MAX_ROWS, MAX_SENSORS, layout_of, sensors_of
 from kinedex.storage.formats.source_files import file_size, part_of
 
 SIGNATURE = b"\x89HDF\r\n\x1a\n"
 """The first bytes of an HDF5 file."""
 
-MOST_BYTES = 4 << 30
+MAX_BYTES = 4 << 30
 """The largest memory of data sets that are read together, in bytes."""
 
 _PROGRAM = "kinedex.storage.formats.imu.hdf5_child:main"
@@ -116,8 +116,8 @@ def hdf5_arrays(path: Path, contents: Hdf5Contents, names: Sequence[str]) -> lis
         if dataset.kind not in "fiub":
             raise SourceError(path, f"data set '{name}' must hold numbers")
         size += 8 * prod(dataset.shape)
-    if size > MOST_BYTES:
-        raise SourceError(path, f"has {size / 1e9:.1f} GB in its data sets, and {MOST_BYTES / 1e9:.1f} GB are read")
+    if size > MAX_BYTES:
+        raise SourceError(path, f"has {size / 1e9:.1f} GB in its data sets, and {MAX_BYTES / 1e9:.1f} GB are read")
     try:
         with np.load(io.BytesIO(_run(path, tuple(names))), allow_pickle=False) as packed:
             found = [packed[str(i)] for i in range(len(names))]
@@ -208,7 +208,7 @@ def recognises(path: Path, head: bytes) -> bool:
     return head.startswith(SIGNATURE)
 
 
-def read(path: Path, given: Given) -> list[RawSensor]:
+def read(path: Path, given: UserStatements) -> list[RawSensor]:
     """Read the sensors of a file.
 
     Raises
@@ -226,8 +226,8 @@ def read(path: Path, given: Given) -> list[RawSensor]:
 
 
 def _opal(path: Path, contents: Hdf5Contents, devices: list[str], layout: _Layout) -> list[RawSensor]:
-    if len(devices) > MOST_SENSORS:
-        raise SourceError(path, f"has {len(devices)} sensors, and {MOST_SENSORS} are read at most")
+    if len(devices) > MAX_SENSORS:
+        raise SourceError(path, f"has {len(devices)} sensors, and {MAX_SENSORS} are read at most")
     names = {device: _label(contents, device) or device for device in devices}
     labels = Counter(names.values())
     found = []
@@ -255,7 +255,7 @@ def _set(path: Path, sensor: RawSensor, contents: Hdf5Contents, wanted: Mapping[
         shape, columns = contents.datasets[name].shape, width.get(key, 3)
         if shape[1:] != (() if columns is None else (columns,)):
             raise SourceError(path, f"data set '{name}' must have {columns or 1} columns, got the shape {shape}")
-        if shape[0] > MOST_ROWS or shape[0] != contents.datasets[next(iter(present.values()))].shape[0]:
+        if shape[0] > MAX_ROWS or shape[0] != contents.datasets[next(iter(present.values()))].shape[0]:
             raise SourceError(
                 path, f"data set '{name}' must be as long as the others of its sensor, got {shape[0]:,} rows"
             )
@@ -288,7 +288,7 @@ def _rate(contents: Hdf5Contents, *groups: str) -> float | None:
     return None
 
 
-def _by_columns(path: Path, contents: Hdf5Contents, given: Given) -> list[RawSensor]:
+def _by_columns(path: Path, contents: Hdf5Contents, given: UserStatements) -> list[RawSensor]:
     """Read the data sets that are named like table columns, all of one length."""
     header: list[str] = []
     parts: list[tuple[str, int | None]] = []
@@ -307,9 +307,9 @@ def _by_columns(path: Path, contents: Hdf5Contents, given: Given) -> list[RawSen
         raise SourceError(path, "has a column of sensors; in HDF5 files each sensor has data sets of its own")
     names = list(dict.fromkeys(parts[place][0] for place in layout.columns()))
     lengths = {name: contents.datasets[name].shape[0] for name in names}
-    if len(set(lengths.values())) > 1 or max(lengths.values()) > MOST_ROWS:
+    if len(set(lengths.values())) > 1 or max(lengths.values()) > MAX_ROWS:
         listed = ", ".join(f"'{name}' {length:,}" for name, length in lengths.items())[:300]
-        raise SourceError(path, f"must have data sets of one length, at most {MOST_ROWS:,} rows, got {listed}")
+        raise SourceError(path, f"must have data sets of one length, at most {MAX_ROWS:,} rows, got {listed}")
     arrays = dict(zip(names, hdf5_arrays(path, contents, names), strict=True))
     columns = {}
     for place in layout.columns():

@@ -14,10 +14,10 @@ from typing import Any
 import h5py
 import numpy as np
 
-MOST_NAMES = 20_000
+MAX_NAMES = 20_000
 """The largest number of data sets in a file."""
 
-_MOST_TEXT = 2_000
+_MAX_TEXT = 2_000
 
 
 def describe(path: str) -> dict[str, Any]:
@@ -30,8 +30,8 @@ def describe(path: str) -> dict[str, Any]:
     with h5py.File(path, "r") as file:
 
         def note(name: str, item: Any) -> None:
-            if len(datasets) + len(attributes) >= MOST_NAMES:
-                raise ValueError(f"has more than {MOST_NAMES} data sets")
+            if len(datasets) + len(attributes) >= MAX_NAMES:
+                raise ValueError(f"has more than {MAX_NAMES} data sets")
             if isinstance(item, h5py.Dataset) and not item.is_virtual and item.external is None:
                 fields = list(item.dtype.names or ())
                 kinds = [item.dtype[field].kind for field in fields] or [item.dtype.kind]
@@ -48,7 +48,7 @@ def describe(path: str) -> dict[str, Any]:
 
 def plain(attributes: Any, key: str) -> str | float | list[str] | None:
     """Return an attribute that is a short text, one number, or a short list of texts; None for any other."""
-    if attributes.get_id(key).get_storage_size() > _MOST_TEXT:
+    if attributes.get_id(key).get_storage_size() > _MAX_TEXT:
         return None
     value = attributes[key]
     if isinstance(value, np.ndarray) and value.size == 1:
@@ -59,7 +59,7 @@ def plain(attributes: Any, key: str) -> str | float | list[str] | None:
     if isinstance(value, bytes):
         value = value.decode("utf-8", "replace")
     if isinstance(value, str):
-        return str(value)[:_MOST_TEXT].rstrip("\0 ")
+        return str(value)[:_MAX_TEXT].rstrip("\0 ")
     return float(value) if isinstance(value, int | float | np.number) else None
 
 

@@ -12,7 +12,7 @@ from pathlib import Path
 
 from kinedex.ops.errors import SourceError
 from kinedex.storage.formats.imu.number_rows import separator_of, text_lines
-from kinedex.storage.formats.imu.signals import ENU, NED, NWU, Given, RawSensor
+from kinedex.storage.formats.imu.signals import ENU, NED, NWU, RawSensor, UserStatements
 from kinedex.storage.formats.imu.xsens_columns import CHANNELS, COUNTERS, PACKETS, named_columns, unwrapped
 from kinedex.storage.formats.source_files import as_number
 
@@ -35,7 +35,7 @@ def session_of(path: str, head: bytes) -> str:
     return re.sub(rf"[-_]{number}\.[^./]+$", "", path)
 
 
-def read(path: Path, given: Given) -> list[RawSensor]:
+def read(path: Path, given: UserStatements) -> list[RawSensor]:
     """Read the sensor of a file.
 
     Raises
@@ -61,7 +61,7 @@ def read(path: Path, given: Given) -> list[RawSensor]:
     for channel, names in CHANNELS.items():
         setattr(sensor, channel, table.channel(names))
     sensor.orientation = table.orientation()
-    counter = next((name for name in COUNTERS if name in table.places), None)
+    counter = next((name for name in COUNTERS if name in table.indices), None)
     if counter is not None:
         sensor.steps = unwrapped(path, table.column(counter), table.rows.lines, PACKETS, counter)
         sensor.wrap = PACKETS

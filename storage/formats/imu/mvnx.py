@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 
 from kinedex.ops.errors import SourceError
-from kinedex.storage.formats.imu.signals import NWU, Given, RawSensor
+from kinedex.storage.formats.imu.signals import NWU, RawSensor, UserStatements
 from kinedex.storage.formats.mvnx import read_mvnx, subject_names
 
 _ORIENTATION, _FIELD = "sensorOrientation", "sensorMagneticField"
@@ -22,7 +22,7 @@ def recognises(path: Path, head: bytes) -> bool:
     return b"<mvnx" in head
 
 
-def read(path: Path, given: Given) -> list[RawSensor]:
+def read(path: Path, given: UserStatements) -> list[RawSensor]:
     """Read the sensors of all subjects; of several subjects, each sensor is named `subject/sensor`.
 
     Raises

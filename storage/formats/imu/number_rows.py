@@ -17,7 +17,7 @@ from kinedex.storage.formats.source_files import file_size, source_bytes
 F64 = npt.NDArray[np.float64]
 I64 = npt.NDArray[np.int64]
 
-MOST_TEXT_BYTES = 2 << 30
+MAX_TEXT_BYTES = 2 << 30
 """The largest text in bytes; Parquet and HDF5 hold an hour of twenty sensors in half of this."""
 
 LARGEST = 1e20
@@ -25,7 +25,7 @@ LARGEST = 1e20
 
 SEPARATORS = ("\t", ",", ";", " ")
 
-_AT_ONCE = 4096
+_BLOCK_ROWS = 4096
 _NAN = float("nan")
 
 
@@ -57,8 +57,8 @@ def text_lines(path: Path) -> list[str]:
         The file cannot be read, is empty, too large, or not text.
     """
     size = file_size(path)
-    if size > MOST_TEXT_BYTES:
-        most = MOST_TEXT_BYTES / 1e9
+    if size > MAX_TEXT_BYTES:
+        most = MAX_TEXT_BYTES / 1e9
         raise SourceError(path, f"has {size / 1e9:.1f} GB, and texts have at most {most:.1f} GB; convert it to Parquet")
     text = decoded(path, source_bytes(path))
     if "\0" in text:
@@ -110,8 +110,8 @@ def number_rows(
     blocks: list[F64] = []
     numbers: list[I64] = []
     found: list[list[str]] = [[] for _ in texts]
-    for start in range(first, len(lines), _AT_ONCE):
-        block = [(start + i + 1, line) for i, line in enumerate(lines[start : start + _AT_ONCE]) if line.strip()]
+    for start in range(first, len(lines), _BLOCK_ROWS):
+        block = [(start + i + 1, line) for i, line in enumerate(lines[start : start + _BLOCK_ROWS]) if line.strip()]
         if not block:
             continue
         numbers.append(np.array([number for number, _ in block], np.int64))

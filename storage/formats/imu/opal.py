@@ -15,8 +15,8 @@ import numpy as np
 
 from kinedex.ops.errors import SourceError
 from kinedex.storage.formats.imu.number_rows import cells_of, number_rows, text_lines
-from kinedex.storage.formats.imu.signals import NWU, UNITS, Given, RawSensor, unit_name
-from kinedex.storage.formats.imu.tables import MOST_SENSORS
+from kinedex.storage.formats.imu.signals import NWU, UNITS, RawSensor, UserStatements, unit_name
+from kinedex.storage.formats.imu.tables import MAX_SENSORS
 from kinedex.storage.formats.source_files import as_number
 
 _RATE = re.compile(r"Sample Rate:?[,;\t ]+([0-9.]+)", re.IGNORECASE)
@@ -26,7 +26,7 @@ _QUANTITIES = {
 }  # fmt: skip
 _AXES = {"acc": "XYZ", "gyr": "XYZ", "mag": "XYZ", "orientation": "SXYZ"}
 _UNITS = {"acc": "m/s2", "gyr": "rad/s", "mag": "uT"}
-_MOST_SETTINGS = 20
+_MAX_SETTINGS = 20
 
 
 def recognises(path: Path, head: bytes) -> bool:
@@ -38,7 +38,7 @@ def recognises(path: Path, head: bytes) -> bool:
     )
 
 
-def read(path: Path, given: Given) -> list[RawSensor]:
+def read(path: Path, given: UserStatements) -> list[RawSensor]:
     """Read the sensors of a file.
 
     Raises
@@ -51,7 +51,7 @@ def read(path: Path, given: Given) -> list[RawSensor]:
 
 
 def _named(path: Path, lines: Sequence[str]) -> list[RawSensor]:
-    first = next((i for i, line in enumerate(lines[:_MOST_SETTINGS]) if re.match(r'"?Time"?,', line)), None)
+    first = next((i for i, line in enumerate(lines[:_MAX_SETTINGS]) if re.match(r'"?Time"?,', line)), None)
     if first is None:
         raise SourceError(path, "has no line with the names of its columns, which begins with Time")
     rate = next((found for line in lines[:first] if (found := _RATE.match(line))), None)
@@ -108,8 +108,8 @@ def _sensors(
     columns: dict[str, dict[str, dict[str, int]]], tick_s: float, units: dict[str, str], rate_hz: float | None,
 ) -> list[RawSensor]:  # fmt: skip
     """Return the sensors of a table, with the column of every axis of their channels."""
-    if not columns or len(columns) > MOST_SENSORS:
-        raise SourceError(path, f"must have the columns of 1 to {MOST_SENSORS} sensors, got {len(columns)}")
+    if not columns or len(columns) > MAX_SENSORS:
+        raise SourceError(path, f"must have the columns of 1 to {MAX_SENSORS} sensors, got {len(columns)}")
     places: dict[str, dict[str, list[int]]] = {}
     for label, channels in columns.items():
         for channel, axes in channels.items():

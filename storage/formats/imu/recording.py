@@ -25,8 +25,8 @@ from pathlib import Path
 from kinedex.catalog.sensorsets import SensorSet
 from kinedex.ops.errors import SourceError
 from kinedex.storage.formats.imu import dot, hdf5, mtmanager, mvnx, opal, tables, xio
-from kinedex.storage.formats.imu.sensor_checks import checked
-from kinedex.storage.formats.imu.signals import ENU, NED, NWU, Given, ImuSensor, RawSensor
+from kinedex.storage.formats.imu.sensor_checks import checked_sensor
+from kinedex.storage.formats.imu.signals import ENU, NED, NWU, ImuSensor, RawSensor, UserStatements
 from kinedex.storage.formats.source_files import part_of, source_bytes
 
 __all__ = ["ENU", "FORMATS", "NED", "NWU", "ImuRecording", "ImuSensor", "read_recording", "recognised"]
@@ -70,7 +70,7 @@ class ImuFormat:
 
     title: str
     recognises: Callable[[Path, bytes], bool]
-    read: Callable[[Path, Given], list[RawSensor]]
+    read: Callable[[Path, UserStatements], list[RawSensor]]
 
 
 FORMATS = {
@@ -142,7 +142,7 @@ def read_together(
     SourceError
         A file is damaged, or two files have a sensor of the same name.
     """
-    given = Given(rate_hz, sensor_set or SensorSet())
+    given = UserStatements(rate_hz, sensor_set or SensorSet())
     raw: list[tuple[Path, RawSensor]] = []
     formats = []
     for path in paths:
@@ -159,7 +159,7 @@ def read_together(
             raise SourceError(path, f"has the sensor '{sensor.name}' {other}; sensors of a recording need own names")
         seen[sensor.name] = path
     _share_clock([sensor for _, sensor in raw])
-    sensors = [checked(path, sensor, given) for path, sensor in raw]
+    sensors = [checked_sensor(path, sensor, given) for path, sensor in raw]
     return ImuRecording(name or paths[0].stem, sensors, formats[0], dict(seen))
 
 

@@ -18,9 +18,9 @@ from kinedex.storage.formats.imu.signals import (
     NED,
     NWU,
     UNITS,
-    Given,
     ImuSensor,
     RawSensor,
+    UserStatements,
 )
 
 F64 = npt.NDArray[np.float64]
@@ -41,18 +41,18 @@ FASTEST_RAD_S = 70.0
 """The largest plausible angular velocity: 4,000 degrees per second."""
 
 _LONG_STEPS = 10.0  # a step longer than so many mean steps is a gap
-_MOST_MISSING = 1.5  # largest ratio of the steps that fit the median period to those present, for an even clock
+_MAX_MISSING = 1.5  # largest ratio of the steps that fit the median period to those present, for an even clock
 _DEFAULT_UNITS = {"acc": "m/s2", "gyr": "rad/s", "mag": "uT"}
 _WORLDS = {"NWU": NWU, "ENU": ENU, "NED": NED}
 _TO_NWU = {NWU: None, ENU: TO_NORTH_WEST_UP, NED: exp(np.array([np.pi, 0.0, 0.0]))}
 _TURNING_RAD_S = 0.1  # slower rotation is mostly noise
 _STILL_RAD_S = 0.1
 _ALIKE = 0.7
-_SURELY_ALIKE, _LEAST_RATIO = 0.9, 0.75  # sample files: 0.95 and more, 0.97 to 1.04
+_SURELY_ALIKE, _MIN_RATIO = 0.9, 0.75  # sample files: 0.95 and more, 0.97 to 1.04
 _WAY_OUT = "in a file of sensors"
 
 
-def checked(path: Path, raw: RawSensor, given: Given) -> ImuSensor:
+def checked_sensor(path: Path, raw: RawSensor, given: UserStatements) -> ImuSensor:
     """Return a sensor in SI units, with its orientation in F_GI.
 
     Parameters
@@ -75,7 +75,7 @@ def checked(path: Path, raw: RawSensor, given: Given) -> ImuSensor:
 class _Checks:
     """The checks of one sensor, with its state."""
 
-    def __init__(self, path: Path, raw: RawSensor, given: Given) -> None:
+    def __init__(self, path: Path, raw: RawSensor, given: UserStatements) -> None:
         self.path, self.raw, self.set = path, raw, given.sensor_set
         self.warnings = list(raw.warnings)
         self.given_hz = given.rate_hz or self.set.entries.rate_hz
@@ -248,7 +248,7 @@ class _Checks:
             )
         if as_read > _ALIKE and not 0.1 < ratio < 10:
             raise self.wrong_rates(unit, f"gyr turns {ratio:.3g} times as fast as the file's own quaternions")
-        if as_read > _SURELY_ALIKE and not _LEAST_RATIO < ratio < 1 / _LEAST_RATIO:
+        if as_read > _SURELY_ALIKE and not _MIN_RATIO < ratio < 1 / _MIN_RATIO:
             self.warnings.append(
                 f"gyr turns {ratio:.3g} times as fast as the file's own quaternions: is the rate of {rate_hz:.4g} Hz "
                 "right?"
@@ -355,7 +355,7 @@ def _measured_rate(times: F64) -> float | None:
         return None
     step = float(np.median(steps))
     near = steps[steps <= max(LONGEST_GAP_S, _LONG_STEPS * float(steps.mean()))]
-    if np.rint(near / step).sum() > _MOST_MISSING * len(near):
+    if np.rint(near / step).sum() > _MAX_MISSING * len(near):
         return float(len(near) / near.sum())
     return float(np.rint(steps / step).sum() / (times[-1] - times[0]))
 

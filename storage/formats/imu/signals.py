@@ -95,7 +95,7 @@ class ImuSensor:
 
 
 @dataclass(frozen=True)
-class Given:
+class UserStatements:
     """The user's statements about a file.
 
     Attributes

@@ -21,19 +21,19 @@ from kinedex.catalog.sensorsets import Columns
 from kinedex.ops.errors import SourceError, did_you_mean
 from kinedex.storage.formats.csv_tables import decoded
 from kinedex.storage.formats.imu.number_rows import cells_of, number_rows, separator_of, text_lines
-from kinedex.storage.formats.imu.signals import UNITS, Given, RawSensor, unit_name
+from kinedex.storage.formats.imu.signals import UNITS, RawSensor, UserStatements, unit_name
 from kinedex.storage.formats.source_files import as_number
 
 F64 = npt.NDArray[np.float64]
 I64 = npt.NDArray[np.int64]
 
-MOST_SENSORS = 1_000
+MAX_SENSORS = 1_000
 """The largest number of sensors in a file."""
 
-MOST_ROWS = 50_000_000
+MAX_ROWS = 50_000_000
 """The largest number of rows in a table."""
 
-_MOST_HEADER_ROWS = 6
+_MAX_HEADER_ROWS = 6
 _LONGEST_NAME = 200
 _HEAD = 1 << 16
 _WORDS = {
@@ -97,7 +97,7 @@ def has_readings(path: Path, wanted: Iterable[str] = ("acc", "gyr")) -> bool:
         else:
             with path.open("rb") as text:
                 lines = decoded(path, text.read(_HEAD)).replace("\r", "\n").split("\n")
-            header, _ = _joined(_header_rows(path, lines, Given())[0])
+            header, _ = _joined(_header_rows(path, lines, UserStatements())[0])
     except (SourceError, OSError, pa.ArrowException):
         return False
     try:
@@ -112,7 +112,7 @@ def _is_parquet(path: Path) -> bool:
         return file.read(4) == b"PAR1" or path.suffix.lower() == ".parquet"
 
 
-def read(path: Path, given: Given) -> list[RawSensor]:
+def read(path: Path, given: UserStatements) -> list[RawSensor]:
     """Read the sensors of a table.
 
     Raises
@@ -123,7 +123,7 @@ def read(path: Path, given: Given) -> list[RawSensor]:
     return _parquet(path, given) if _is_parquet(path) else _csv(path, given)
 
 
-def layout_of(path: Path, header: Sequence[str], given: Given) -> Layout:
+def layout_of(path: Path, header: Sequence[str], given: UserStatements) -> Layout:
     """Return the columns that are used, by their names or as the file of sensors names them.
 
     Raises
@@ -138,8 +138,8 @@ def layout_of(path: Path, header: Sequence[str], given: Given) -> Layout:
             path, "has no columns of a sensor; expected acc_x, acc_y, acc_z, gyr_x … or `columns:` in a file of "
             f"sensors, got {', '.join(header[:12])[:300]}",
         )  # fmt: skip
-    if len(layout.channels) > MOST_SENSORS:
-        raise SourceError(path, f"has {len(layout.channels)} sensors, and {MOST_SENSORS} are read at most")
+    if len(layout.channels) > MAX_SENSORS:
+        raise SourceError(path, f"has {len(layout.channels)} sensors, and {MAX_SENSORS} are read at most")
     return layout
 
 
@@ -225,7 +225,7 @@ def _sensors(pattern: str, names: Iterable[str]) -> list[str]:
     return list(dict.fromkeys(match[1] for name in names if (match := wanted.fullmatch(name))))
 
 
-def _csv(path: Path, given: Given) -> list[RawSensor]:
+def _csv(path: Path, given: UserStatements) -> list[RawSensor]:
     lines = text_lines(path)
     rows, body, separator = _header_rows(path, lines, given)
     header, units = _joined(rows)
@@ -243,7 +243,7 @@ def _csv(path: Path, given: Given) -> list[RawSensor]:
     return sensors_of(path, layout, given, columns, table.texts[0] if texts else None, table.lines)
 
 
-def _header_rows(path: Path, lines: Sequence[str], given: Given) -> tuple[list[list[str]], int, str]:
+def _header_rows(path: Path, lines: Sequence[str], given: UserStatements) -> tuple[list[list[str]], int, str]:
     """Return the cells of the rows before the numbers, the index of the first row of numbers, and the separator."""
     wanted = given.sensor_set.entries.header_rows
     rows: list[list[str]] = []
@@ -256,7 +256,7 @@ def _header_rows(path: Path, lines: Sequence[str], given: Given) -> tuple[list[l
         if len(rows) == wanted or (wanted is None and _numeric(cells, separator)):
             break
         rows.append(cells)
-        if len(rows) > _MOST_HEADER_ROWS and wanted is None:
+        if len(rows) > _MAX_HEADER_ROWS and wanted is None:
             raise SourceError(
                 path, f"has no row of numbers in its first {len(rows)} rows; state `header_rows:` in a file of sensors "
                 "if these are names of columns", line=i + 1,
@@ -286,11 +286,11 @@ def _joined(rows: Sequence[Sequence[str]]) -> tuple[list[str], list[str]]:
     return ["/".join(cell for cell in column if cell) for column in zip(*padded, strict=True)], units
 
 
-def _parquet(path: Path, given: Given) -> list[RawSensor]:
+def _parquet(path: Path, given: UserStatements) -> list[RawSensor]:
     try:
         with pq.ParquetFile(path) as file:
-            if file.metadata.num_rows > MOST_ROWS:
-                raise SourceError(path, f"has {file.metadata.num_rows:,} rows, and {MOST_ROWS:,} are read at most")
+            if file.metadata.num_rows > MAX_ROWS:
+                raise SourceError(path, f"has {file.metadata.num_rows:,} rows, and {MAX_ROWS:,} are read at most")
             header = file.schema_arrow.empty_table().flatten().column_names
             layout = layout_of(path, header, given)
             places = [*layout.columns(), *([] if layout.sensor is None else [layout.sensor])]
@@ -321,7 +321,7 @@ def _numbers(path: Path, table: pa.Table, name: str) -> F64:
 
 
 def sensors_of(
-    path: Path, layout: Layout, given: Given, columns: Mapping[int, F64], names: Sequence[str] | None = None,
+    path: Path, layout: Layout, given: UserStatements, columns: Mapping[int, F64], names: Sequence[str] | None = None,
     lines: I64 | None = None,
 ) -> list[RawSensor]:  # fmt: skip
     """Return the sensors of a table.
@@ -373,6 +373,6 @@ def _rows_by_name(path: Path, names: Sequence[str], lines: I64 | None) -> dict[s
         raise SourceError(path, f"row {row} (from 0) has no name in its column of sensors", line=line)
     for row, name in enumerate(names):
         rows.setdefault(name, []).append(row)
-    if len(rows) > MOST_SENSORS:
-        raise SourceError(path, f"has {len(rows)} sensors, and {MOST_SENSORS} are read at most")
+    if len(rows) > MAX_SENSORS:
+        raise SourceError(path, f"has {len(rows)} sensors, and {MAX_SENSORS} are read at most")
     return {name: np.array(places) for name, places in rows.items()}

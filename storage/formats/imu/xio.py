@@ -18,7 +18,7 @@ import numpy.typing as npt
 from kinedex.ops.errors import SourceError
 from kinedex.ops.inertial.rotations import conjugate, interpolate
 from kinedex.storage.formats.imu.number_rows import NumberRows, cells_of, number_rows, text_lines
-from kinedex.storage.formats.imu.signals import NWU, Given, RawSensor
+from kinedex.storage.formats.imu.signals import NWU, RawSensor, UserStatements
 
 F64 = npt.NDArray[np.float64]
 
@@ -67,7 +67,7 @@ def beside(path: Path) -> Path | None:
     return None
 
 
-def read(path: Path, given: Given) -> list[RawSensor]:
+def read(path: Path, given: UserStatements) -> list[RawSensor]:
     """Read a sensor: a file of readings with the files beside it, or quaternions alone.
 
     Raises

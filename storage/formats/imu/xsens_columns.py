@@ -53,11 +53,11 @@ class NamedColumns:
     """
 
     def __init__(self, path: Path, places: Mapping[str, int], rows: NumberRows) -> None:
-        self.path, self.places, self.rows = path, places, rows
+        self.path, self.indices, self.rows = path, places, rows
 
     def column(self, name: str) -> F64:
         """Return a column (T,)."""
-        return self.rows.numbers[:, self.places[name]]
+        return self.rows.numbers[:, self.indices[name]]
 
     def channel(self, names: Sequence[str]) -> F64 | None:
         """Return columns (T, names); None if none of them exists or all are empty.
@@ -67,13 +67,13 @@ class NamedColumns:
         SourceError
             Only some of the columns exist.
         """
-        found = [name for name in names if name in self.places]
+        found = [name for name in names if name in self.indices]
         if not found:
             return None
         if len(found) < len(names):
-            lacking = ", ".join(name for name in names if name not in self.places)
+            lacking = ", ".join(name for name in names if name not in self.indices)
             raise SourceError(self.path, f"has the column {found[0]} and lacks {lacking}; export all of them")
-        values = self.rows.numbers[:, [self.places[name] for name in names]]
+        values = self.rows.numbers[:, [self.indices[name] for name in names]]
         return None if np.isnan(values).all() else values
 
     def orientation(self) -> F64 | None:

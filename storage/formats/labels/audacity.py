@@ -5,11 +5,11 @@ from __future__ import annotations
 from pathlib import Path
 
 from kinedex.ops.errors import SourceError
-from kinedex.storage.formats.labels.segments import LabelFile, ManualSegment, TakeLabels
+from kinedex.storage.formats.labels.file_labels import LabelFile, LabelsOfTake, ManualSegment
 from kinedex.storage.formats.labels.texts import open_lines, parse_seconds, refuse_long, refuse_many, shown
 
 
-def write(labels: TakeLabels) -> str:
+def write(labels: LabelsOfTake) -> str:
     """Return a label track, with six digits after the point, as Audacity writes them."""
     rows = [f"{labels.seconds(one.start):.6f}\t{labels.seconds(one.stop):.6f}\t{one.label}\n" for one in labels.labels]
     return "".join(rows)

@@ -10,7 +10,7 @@ from xml.parsers import expat
 
 from kinedex.catalog.limbs import LIMBS
 from kinedex.ops.errors import SourceError
-from kinedex.storage.formats.labels.segments import ERROR, Label, LabelFile, ManualSegment, TakeLabels
+from kinedex.storage.formats.labels.file_labels import ERROR, Label, LabelFile, LabelsOfTake, ManualSegment
 from kinedex.storage.formats.labels.texts import LONGEST_SECONDS, label_bytes, refuse_long, refuse_many, shown
 
 DEEPEST = 100
@@ -29,7 +29,7 @@ xsi:noNamespaceSchemaLocation="http://www.mpi.nl/tools/elan/EAFv3.0.xsd">
 _TYPE = '    <LINGUISTIC_TYPE GRAPHIC_REFERENCES="false" LINGUISTIC_TYPE_ID="class" TIME_ALIGNABLE="true"/>\n'
 
 
-def write(labels: TakeLabels) -> str:
+def write(labels: LabelsOfTake) -> str:
     """Return an EAF file: a tier for each class, because annotations of one tier must not overlap.
 
     Every annotation's value is its class. Errors of limbs have a tier for each limb and annotator, such as `lshank` or

@@ -14,16 +14,16 @@ from typing import Literal
 
 from kinedex.catalog.limbs import LIMB_NAMES
 from kinedex.ops.errors import KinedexError, SourceError, did_you_mean
-from kinedex.storage.disk import whole_file
-from kinedex.storage.formats.labels import audacity, elan, tables, webvtt
-from kinedex.storage.formats.labels.segments import ERROR, Label, LabelFile, TakeLabels, is_writable
-from kinedex.storage.formats.labels.segments import ManualSegment as ManualSegment
-from kinedex.storage.formats.labels.tables import COLUMNS
+from kinedex.storage.durable_files import whole_file
+from kinedex.storage.formats.labels import audacity, elan, label_tables, webvtt
+from kinedex.storage.formats.labels.file_labels import ERROR, Label, LabelFile, LabelsOfTake, is_writable
+from kinedex.storage.formats.labels.file_labels import ManualSegment as ManualSegment
+from kinedex.storage.formats.labels.label_tables import COLUMNS
 
 _RESERVED = re.compile(r"(?:con|prn|aux|nul|com[0-9¹²³]|lpt[0-9¹²³])(?:\..*)?", re.IGNORECASE)
 _FORBIDDEN = frozenset('/\\:*?"<>|')
 _INVISIBLE = frozenset(("Cc", "Cf", "Cs", "Zl", "Zp"))
-_MOST_BYTES = 180
+_MAX_BYTES = 180
 
 
 def file_names(takes: Sequence[str]) -> list[str]:
@@ -45,7 +45,7 @@ def file_names(takes: Sequence[str]) -> list[str]:
 
 def _safe(take: str) -> str:
     name = "".join("_" if one in _FORBIDDEN or unicodedata.category(one) in _INVISIBLE else one for one in take)
-    name = name.encode()[:_MOST_BYTES].decode(errors="ignore").strip(" ").rstrip(". ")
+    name = name.encode()[:_MAX_BYTES].decode(errors="ignore").strip(" ").rstrip(". ")
     return f"{name}_" if not name or _RESERVED.fullmatch(name) else name
 
 
@@ -72,14 +72,14 @@ class Format:
     """
 
     title: str
-    write: Callable[[Sequence[TakeLabels]], str]
+    write: Callable[[Sequence[LabelsOfTake]], str]
     read: Callable[[str | Path], LabelFile]
     several: bool = False
     limbs: Literal["all", "errors", "none"] = "none"
 
 
-def _of_one(write: Callable[[TakeLabels], str]) -> Callable[[Sequence[TakeLabels]], str]:
-    def write_one(takes: Sequence[TakeLabels]) -> str:
+def _of_one(write: Callable[[LabelsOfTake], str]) -> Callable[[Sequence[LabelsOfTake]], str]:
+    def write_one(takes: Sequence[LabelsOfTake]) -> str:
         (labels,) = takes
         return write(labels)
 
@@ -87,8 +87,8 @@ def _of_one(write: Callable[[TakeLabels], str]) -> Callable[[Sequence[TakeLabels
 
 
 FORMATS: dict[str, Format] = {
-    "csv": Format("CSV", tables.write_csv, tables.read_csv, several=True, limbs="all"),
-    "json": Format("JSON", tables.write_json, tables.read_json, several=True, limbs="all"),
+    "csv": Format("CSV", label_tables.write_csv, label_tables.read_csv, several=True, limbs="all"),
+    "json": Format("JSON", label_tables.write_json, label_tables.read_json, several=True, limbs="all"),
     "eaf": Format("ELAN", _of_one(elan.write), elan.read, limbs="errors"),
     "vtt": Format("WebVTT", _of_one(webvtt.write), webvtt.read),
     "txt": Format("Audacity labels", _of_one(audacity.write), audacity.read),
@@ -134,7 +134,9 @@ def read_labels(path: str | Path) -> LabelFile:
     return FORMATS[ending].read(path)
 
 
-def write_labels(takes: Sequence[TakeLabels], form: str | None, output: str | Path, *, force: bool = False) -> Written:
+def write_labels(
+    takes: Sequence[LabelsOfTake], form: str | None, output: str | Path, *, force: bool = False
+) -> Written:
     """Write the labels of takes: a file for each into a folder, or one file.
 
     Parameters
@@ -193,7 +195,7 @@ def write_labels(takes: Sequence[TakeLabels], form: str | None, output: str | Pa
     return Written(tuple(targets), renamed, excluded)
 
 
-def _with_limbs(takes: Sequence[TakeLabels]) -> list[TakeLabels]:
+def _with_limbs(takes: Sequence[LabelsOfTake]) -> list[LabelsOfTake]:
     """Return labels that list an annotator of a whole take for each limb that occurs in any of the labels."""
     limbs = {one.limb for labels in takes for one in labels.labels if one.label == ERROR}
     limbs |= {limb for labels in takes for limb, _ in labels.covered}
@@ -210,7 +212,7 @@ def _with_limbs(takes: Sequence[TakeLabels]) -> list[TakeLabels]:
     ]
 
 
-def _refuse_limbs(takes: Sequence[TakeLabels], kind: str) -> None:
+def _refuse_limbs(takes: Sequence[LabelsOfTake], kind: str) -> None:
     form = FORMATS[kind]
     for labels in takes:
         for one in labels.labels:
@@ -259,7 +261,9 @@ def _writing(path: Path) -> Iterator[None]:
         raise KinedexError(f"{path}: cannot be written: {fault.strerror}") from None
 
 
-def _targets(takes: Sequence[TakeLabels], form: str, output: Path, folder: bool) -> dict[Path, Sequence[TakeLabels]]:
+def _targets(
+    takes: Sequence[LabelsOfTake], form: str, output: Path, folder: bool
+) -> dict[Path, Sequence[LabelsOfTake]]:
     if output.suffix.lower() == f".{form}" and not folder:
         if len(takes) != 1 and not FORMATS[form].several:
             title = FORMATS[form].title

@@ -12,10 +12,10 @@ from kinedex.storage.formats.source_files import read_bytes, utf8_text
 LONGEST_SECONDS = 10_000_000
 """The latest end of a label in seconds; a later one is a typing error."""
 
-MOST_LABELS = 500_000
+MAX_LABELS = 500_000
 """The largest number of labels, and of takes, in a label file."""
 
-MOST_LETTERS = 100_000
+MAX_LETTERS = 100_000
 """The largest number of characters of a class or of a take's name."""
 
 _SECONDS = re.compile(r"[0-9]{1,9}(?:\.[0-9]{1,20})?|\.[0-9]{1,20}", re.ASCII)
@@ -47,18 +47,18 @@ def open_lines(path: str | Path, newline: str | None = None) -> io.TextIOWrapper
 
 
 def refuse_many(path: str | Path, count: int, line: int | None = None) -> None:
-    """Raise a SourceError if there are more labels (or takes) than `MOST_LABELS`."""
-    if count > MOST_LABELS:
+    """Raise a SourceError if there are more labels (or takes) than `MAX_LABELS`."""
+    if count > MAX_LABELS:
         raise SourceError(
-            path, f"has more than {MOST_LABELS:,} labels, the most of one file: divide it by takes", line=line
+            path, f"has more than {MAX_LABELS:,} labels, the most of one file: divide it by takes", line=line
         )
 
 
 def refuse_long(path: str | Path, length: int, line: int | None = None, place: str = "the text") -> None:
-    """Raise a SourceError if a text has more characters than `MOST_LETTERS`."""
-    if length > MOST_LETTERS:
+    """Raise a SourceError if a text has more characters than `MAX_LETTERS`."""
+    if length > MAX_LETTERS:
         raise SourceError(
-            path, f"{place} has {length:,} characters or more; a class or a take's name has at most {MOST_LETTERS:,}",
+            path, f"{place} has {length:,} characters or more; a class or a take's name has at most {MAX_LETTERS:,}",
             line=line,
         )  # fmt: skip
 

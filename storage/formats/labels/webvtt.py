@@ -8,10 +8,10 @@ from collections.abc import Iterator
 from pathlib import Path
 
 from kinedex.ops.errors import SourceError
-from kinedex.storage.formats.labels.segments import LabelFile, ManualSegment, TakeLabels
+from kinedex.storage.formats.labels.file_labels import LabelFile, LabelsOfTake, ManualSegment
 from kinedex.storage.formats.labels.texts import (
     LONGEST_SECONDS,
-    MOST_LABELS,
+    MAX_LABELS,
     open_lines,
     refuse_long,
     refuse_many,
@@ -24,7 +24,7 @@ _TAG = re.compile(r"<[^<>]*>")
 _TAKE = "kinedex take: "
 
 
-def write(labels: TakeLabels) -> str:
+def write(labels: LabelsOfTake) -> str:
     """Return a WebVTT file: a numbered cue for each label, and the take's name in a note."""
     blocks = ["WEBVTT\n", f"NOTE\n{_TAKE}{_escaped(labels.take)}\n"]
     blocks += [
@@ -72,8 +72,8 @@ def _blocks(path: str | Path, lines: Iterator[str]) -> Iterator[tuple[int, list[
     for number, line in enumerate(lines, 2):
         if line.strip():
             block.append(line.removesuffix("\n"))
-            if len(block) > MOST_LABELS:
-                raise SourceError(path, f"has more than {MOST_LABELS:,} lines without a blank one", line=number)
+            if len(block) > MAX_LABELS:
+                raise SourceError(path, f"has more than {MAX_LABELS:,} lines without a blank one", line=number)
         elif block:
             yield number - len(block), block
             block = []

@@ -11,7 +11,7 @@ import numpy.typing as npt
 
 from kinedex.ops.errors import ParameterError
 from kinedex.ops.synth.body import Body
-from kinedex.storage.disk import whole_file
+from kinedex.storage.durable_files import whole_file
 from kinedex.storage.formats.motion.asf import INCH_M
 
 F64 = npt.NDArray[np.float64]

@@ -14,7 +14,7 @@ import numpy as np
 import numpy.typing as npt
 
 from kinedex.catalog.configs import config_path
-from kinedex.catalog.skeletons.evidence import SAMPLED_FRAMES
+from kinedex.catalog.skeletons.body_evidence import SAMPLED_FRAMES
 from kinedex.catalog.skeletons.mappings import Fit, Format, Mappings
 from kinedex.catalog.skeletons.skeleton_fit import axes_of_up
 from kinedex.ops.body import axisangle
@@ -82,7 +82,7 @@ SHIPPED = "smpl-amass"
 AIST_HZ = 60.0
 """The rate of the AIST Dance Video Database, which the files of AIST++ do not state."""
 
-_AT_ONCE = 4096  # frames at once; axisangle.forward uses the same number
+_BLOCK_FRAMES = 4096  # frames at once; axisangle.forward uses the same number
 
 
 @dataclass(frozen=True)
@@ -93,9 +93,9 @@ class Poses:
     ----------
     names : tuple of str
         The joints that have rotations.
-    turns : float64 array (T, J, 3)
+    rotations : float64 array (T, J, 3)
         Rotation vectors, in radians.
-    places : float64 array (T, 3)
+    positions : float64 array (T, 3)
         The root's displacement from its rest position, in metres.
     shape : float64 array (B,)
         The shape parameters (betas) of the body.
@@ -110,8 +110,8 @@ class Poses:
     """
 
     names: tuple[str, ...]
-    turns: F64
-    places: F64
+    rotations: F64
+    positions: F64
     shape: F64
     gender: str
     rate_hz: float | None
@@ -150,7 +150,7 @@ class AmassReader(Reader):
         parts = [shape for key, (shape, _) in shapes.items() if key in _READ and key != "poses"]
         together = 0 if "poses" in shapes else 16 * sum(map(math.prod, parts))
         frames = max((shape[0] for shape, _ in known if shape), default=0)
-        block = min(frames, _AT_ONCE) * (len(BODY) + len(HANDS) + len(FACE)) * 400
+        block = min(frames, _BLOCK_FRAMES) * (len(BODY) + len(HANDS) + len(FACE)) * 400
         need = stored + numbers + together + block + body_bytes(frames, joints)
         return Extent(frames, need, settings.override_rate_hz)
 
@@ -228,9 +228,9 @@ def _upright(
     """Return the fit with the axis along which the body stands, for files whose source does not fix the up axis."""
     if poses.up is not None or fit.mapping.path != config_path("skeletons", SHIPPED):
         return fit, ()
-    sample = np.unique(np.linspace(0, len(poses.turns) - 1, min(len(poses.turns), SAMPLED_FRAMES)).astype(int))
+    sample = np.unique(np.linspace(0, len(poses.rotations) - 1, min(len(poses.rotations), SAMPLED_FRAMES)).astype(int))
     plain = replace(fit, mapping=replace(fit.mapping, axes=np.eye(3)))
-    few = replace(poses, turns=poses.turns[sample], places=poses.places[sample])
+    few = replace(poses, rotations=poses.rotations[sample], positions=poses.positions[sample])
     positions = _posed(few, model, rest, plain, joints)[0]
     found = up_axis({joint: positions[i] for i, joint in enumerate(joints) if joint not in fit.unknown})
     up = found.axis or "y"
@@ -240,24 +240,24 @@ def _upright(
 
 def _posed(poses: Poses, model: BodyModel, rest: F64, fit: Fit, joints: tuple[str, ...]) -> tuple[F64, F64]:
     """Return the named joints (J, 3, T) and the root's rotation (9, T), computed in blocks of frames."""
-    frames = len(poses.turns)
+    frames = len(poses.rotations)
     positions, turned = np.empty((len(joints), 3, frames)), np.empty((9, frames))
-    for start in range(0, frames, _AT_ONCE):
-        part = slice(start, start + _AT_ONCE)
-        turns = model_turns(poses, model, part)
-        places, turned[:, part] = axisangle.forward(rest, model.parents, turns, poses.places[part])
+    for start in range(0, frames, _BLOCK_FRAMES):
+        part = slice(start, start + _BLOCK_FRAMES)
+        rotations = model_rotations(poses, model, part)
+        places, turned[:, part] = axisangle.forward(rest, model.parents, rotations, poses.positions[part])
         positions[:, :, part] = fit.apply(places, joints)
     return positions, turned
 
 
-def model_turns(poses: Poses, model: BodyModel, part: slice) -> F64:
+def model_rotations(poses: Poses, model: BodyModel, part: slice) -> F64:
     """Return the rotation vectors (K, J, 3) of all joints of a model in some frames; 0 for joints not given."""
-    given = poses.turns[part]
-    turns = np.zeros((len(given), len(model.names), 3))
+    given = poses.rotations[part]
+    rotations = np.zeros((len(given), len(model.names), 3))
     for i, name in enumerate(model.names):
         if name in poses.names:
-            turns[:, i] = given[:, poses.names.index(name)]
-    return turns
+            rotations[:, i] = given[:, poses.names.index(name)]
+    return rotations
 
 
 def parse_amass(path: Path) -> Poses:
@@ -282,26 +282,28 @@ def parse_amass(path: Path) -> Poses:
         arrays, names = load_arrays(path, _READ)
     from_aist = "smpl_poses" in arrays
     arrays = _usual(path, arrays)
-    posed, turns = _turns(path, arrays)
-    frames = len(turns)
+    posed, rotations = _rotation_vectors(path, arrays)
+    frames = len(rotations)
     if "trans" not in arrays:
         raise SourceError(path, f"has no `trans`, where the body is in every frame; it has {', '.join(names)}")
-    places = _numbers(path, arrays, "trans")
-    if places.shape != (frames, 3):
+    positions = _numbers(path, arrays, "trans")
+    if positions.shape != (frames, 3):
         raise SourceError(
-            path, f"`trans` must have {frames} frames of 3 numbers, as many as angles, got {places.shape}"
+            path, f"`trans` must have {frames} frames of 3 numbers, as many as angles, got {positions.shape}"
         )
     shape = _numbers(path, arrays, "betas") if "betas" in arrays else np.zeros(0)
     shape = shape.mean(axis=0) if shape.ndim == 2 and len(shape) == frames else shape.ravel()
     if "scaling" in arrays:
-        places = places / _scale(path, arrays)
+        positions = positions / _scale(path, arrays)
     rate = next((_numbers(path, arrays, key) for key in RATES if key in arrays), None)
     if rate is not None and (rate.size != 1 or not SLOWEST_HZ <= float(rate.ravel()[0]) <= FASTEST_HZ):
         raise SourceError(path, f"the rate must be one number, {SLOWEST_HZ:g} to {FASTEST_HZ:g} Hz, got {rate}")
     rate_hz = None if rate is None else float(rate.ravel()[0])
     from_amass = any(key in arrays for key in RATES[:2]) or (path.suffix.lower() == ".npz" and "gender" in arrays)
     known_hz = AIST_HZ if from_aist else None
-    return Poses(posed, turns, places, shape, _gender(path, arrays), rate_hz, "z" if from_amass else None, known_hz)
+    return Poses(
+        posed, rotations, positions, shape, _gender(path, arrays), rate_hz, "z" if from_amass else None, known_hz
+    )
 
 
 def _usual(path: Path, arrays: dict[str, Any]) -> dict[str, Any]:
@@ -341,7 +343,7 @@ def _scale(path: Path, arrays: dict[str, Any]) -> float:
     return float(scale.ravel()[0])
 
 
-def _turns(path: Path, arrays: dict[str, Any]) -> tuple[tuple[str, ...], F64]:
+def _rotation_vectors(path: Path, arrays: dict[str, Any]) -> tuple[tuple[str, ...], F64]:
     """Return the joints that have rotations, and their rotation vectors (T, J, 3)."""
     if "poses" in arrays:
         poses = _angles(path, arrays, "poses")

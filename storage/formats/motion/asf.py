@@ -11,7 +11,7 @@ import numpy.typing as npt
 
 from kinedex.ops.body import kinematics as k
 from kinedex.ops.errors import SourceError, did_you_mean
-from kinedex.storage.formats.motion.reader import MOST_POINTS
+from kinedex.storage.formats.motion.reader import MAX_POINTS
 from kinedex.storage.formats.motion.text_blocks import LONGEST
 from kinedex.storage.formats.source_files import file_size, source_bytes
 
@@ -204,8 +204,8 @@ def _read_bone(asf: _Asf, bone: Bone | None, words: list[str], line: int) -> Bon
             raise asf.error("this bone has no name", bone.line)
         if bone.name in asf.bones or bone.name == "root":
             raise asf.error(f"a second bone named '{bone.name}'", bone.line)
-        if len(asf.bones) == MOST_POINTS:
-            raise asf.error(f"more than {MOST_POINTS} bones: this is no body", bone.line)
+        if len(asf.bones) == MAX_POINTS:
+            raise asf.error(f"more than {MAX_POINTS} bones: this is no body", bone.line)
         asf.bones[bone.name] = bone
         return None
     if key == "name":
@@ -287,5 +287,5 @@ def _unit(direction: tuple[float, float, float]) -> npt.NDArray[np.float64]:
 def _steps(dofs: tuple[str, ...], column: int) -> tuple[k.Step, ...]:
     """Return the channels of a bone; the first listed rotation is applied first, so its matrix is rightmost."""
     steps = [k.Step(k.STRETCH if dof == "l" else _DOFS[dof], column + i) for i, dof in enumerate(dofs)]
-    turns = [step for step in steps if step.kind <= k.ROTATE_Z]
-    return (*(step for step in steps if step.kind > k.ROTATE_Z), *reversed(turns))
+    rotations = [step for step in steps if step.kind <= k.ROTATE_Z]
+    return (*(step for step in steps if step.kind > k.ROTATE_Z), *reversed(rotations))

@@ -50,7 +50,7 @@ _TABLE = ("joints", "names", "shapes")
 LARGEST = 1e9
 """The largest plausible angle, position or number of a body model; larger ones would overflow in computations."""
 
-_MOST_SHAPES = 16  # AMASS uses this many; models have up to 400
+_MAX_SHAPES = 16  # AMASS uses this many; models have up to 400
 
 
 @dataclass(frozen=True)
@@ -148,7 +148,7 @@ def _from_arrays(path: Path) -> tuple[tuple[str, ...], F64, F64]:
         joints = regressor @ skin
         shapes = np.zeros((len(joints), 3, 0))
         if "shapedirs" in arrays:
-            moved = _numbers(path, arrays, "shapedirs", 3)[:, :, :_MOST_SHAPES]
+            moved = _numbers(path, arrays, "shapedirs", 3)[:, :, :_MAX_SHAPES]
             if moved.shape[:2] != skin.shape:
                 raise SourceError(path, f"shapedirs {moved.shape} and v_template {skin.shape} do not go together")
             shapes = np.einsum("jv,vab->jab", regressor, moved)
@@ -166,14 +166,14 @@ def _from_csv(path: Path) -> tuple[tuple[str, ...], F64, F64]:
             rows = list(csv.DictReader(file))
     except (OSError, UnicodeDecodeError, csv.Error) as fault:
         raise SourceError(path, f"cannot be read: {fault}") from None
-    names, places = [], []
+    names, positions = [], []
     for line, row in enumerate(rows, 2):
         try:
             names.append(str(row["joint"]).strip())
-            places.append([float(row[axis]) for axis in "xyz"])
+            positions.append([float(row[axis]) for axis in "xyz"])
         except (KeyError, TypeError, ValueError):
             raise SourceError(path, "expected columns joint, x, y, z, with numbers of metres", line=line) from None
-    return tuple(names), np.array(places, dtype=np.float64).reshape(-1, 3), np.zeros((len(names), 3, 0))
+    return tuple(names), np.array(positions, dtype=np.float64).reshape(-1, 3), np.zeros((len(names), 3, 0))
 
 
 def _from_yaml(path: Path) -> tuple[tuple[str, ...], F64, F64]:
@@ -184,8 +184,8 @@ def _from_yaml(path: Path) -> tuple[tuple[str, ...], F64, F64]:
     for name, place in joints.items():
         if not isinstance(place, list) or len(place) != 3 or not all(isinstance(x, (int, float)) for x in place):
             raise located.error(f"expected three numbers of metres, got {place!r}", "joints", name)
-    places = np.array(list(joints.values()), dtype=np.float64).reshape(-1, 3)
-    return tuple(map(str, joints)), places, np.zeros((len(joints), 3, 0))
+    positions = np.array(list(joints.values()), dtype=np.float64).reshape(-1, 3)
+    return tuple(map(str, joints)), positions, np.zeros((len(joints), 3, 0))
 
 
 def _numbers(path: Path, arrays: dict[str, Any], key: str, axes: int) -> F64:

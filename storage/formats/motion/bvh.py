@@ -10,7 +10,7 @@ from typing import ClassVar, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from kinedex.catalog.skeletons.evidence import SAMPLED_FRAMES, Evidence
+from kinedex.catalog.skeletons.body_evidence import SAMPLED_FRAMES, Evidence
 from kinedex.catalog.skeletons.mappings import Fit, Format, Mappings
 from kinedex.ops.body import kinematics
 from kinedex.ops.errors import SourceError
@@ -34,7 +34,7 @@ from kinedex.storage.formats.source_files import file_size
 
 F64 = npt.NDArray[np.float64]
 
-_LEAST_NODES = 10  # a root with fewer nodes is a prop or a camera
+_MIN_NODES = 10  # a root with fewer nodes is a prop or a camera
 _HEAD_BYTES = 1 << 18  # bytes; enough for the hierarchy of some thousand joints
 _KEPT_BYTES = 32 << 20  # bytes of channels that are kept between recognition and reading
 _NEARLY_NOTHING = 0.01  # fraction of the length of the OFFSET
@@ -68,7 +68,7 @@ class Person:
     members: tuple[int, ...]
 
     @property
-    def places(self) -> dict[str, int]:
+    def indices(self) -> dict[str, int]:
         """A dict from node name to index, for all nodes that a skeleton mapping can use."""
         return {node.name: i for i, node in enumerate(self.nodes) if i not in self.redundant}
 
@@ -176,7 +176,7 @@ def _fitted(bvh: _Motion, name: str, mappings: Mappings, joints: tuple[str, ...]
     try:
         persons = persons_of(bvh.file, _offsets_apart(bvh))
         person = persons[chosen_person(bvh.path, name, [person.name for person in persons])]
-        fit = mappings.exact(bvh.path, "bvh", person.places)
+        fit = mappings.exact(bvh.path, "bvh", person.indices)
         if fit is None or _skips_spine(person, fit):
             fit = mappings.recognised(bvh.path, "bvh", _evidence(bvh, person))
     except SourceError:
@@ -274,7 +274,7 @@ def persons_of(file: BvhFile, apart: frozenset[int] = frozenset()) -> list[Perso
     for i, node in enumerate(file.nodes):
         tops[i] = i if node.parent < 0 else tops[node.parent]
     trees = {top: [i for i, other in enumerate(tops) if other == top] for top in dict.fromkeys(tops)}
-    large = {top: members for top, members in trees.items() if len(members) >= _LEAST_NODES}
+    large = {top: members for top, members in trees.items() if len(members) >= _MIN_NODES}
     if not large:
         large = dict([max(trees.items(), key=lambda tree: len(tree[1]))])
     if len(trees) == 1:
@@ -315,10 +315,10 @@ def _person(file: BvhFile, nodes: Sequence[kinematics.Node], name: str, members:
 
 def _evidence(motion: _Motion, person: Person) -> Evidence:
     """Return the positions of a figure's nodes in sampled frames, and its tree."""
-    places, _ = kinematics.forward(person.nodes, motion.sampled(SAMPLED_FRAMES))
+    positions, _ = kinematics.forward(person.nodes, motion.sampled(SAMPLED_FRAMES))
     return Evidence(
         names=tuple(node.name for node in person.nodes),
-        places=places,
+        positions=positions,
         parents=tuple(node.parent for node in person.nodes),
         offsets=person.offsets,
     )
@@ -329,7 +329,7 @@ def _skips_spine(person: Person, fit: Fit) -> bool:
     chest, neck = fit.joints.get("chest"), fit.joints.get("neck")
     if not is_shipped(fit) or chest is None or neck is None or chest.node is None or neck.node is None:
         return False
-    above, node = fit.places[chest.node], person.nodes[fit.places[neck.node]].parent
+    above, node = fit.indices[chest.node], person.nodes[fit.indices[neck.node]].parent
     long = False
     while node >= 0 and node != above:
         long = long or bool(person.offsets[node].any())
@@ -360,10 +360,10 @@ def _restore(person: Person, fit: Fit) -> tuple[tuple[kinematics.Node, ...], lis
     """Return the nodes, with the mapping's lengths for bones without length, and the names of those bones."""
     nodes, restored = list(person.nodes), []
     for name, weights in fit.mapping.bones.items():
-        index = fit.places[name]
+        index = fit.indices[name]
         moved = any(step.kind >= kinematics.MOVE_X for step in nodes[index].steps)
         if not moved and not nodes[index].before.any():
-            offset = sum(weight * person.nodes[fit.places[other]].before for other, weight in weights.items())
+            offset = sum(weight * person.nodes[fit.indices[other]].before for other, weight in weights.items())
             nodes[index] = replace(nodes[index], before=np.asarray(offset))
             restored.append(name)
     return tuple(nodes), restored

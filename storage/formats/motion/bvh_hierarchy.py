@@ -77,7 +77,7 @@ def shown(word: str | None) -> str:
     return "the end of the file" if word is None else repr(word[:40])
 
 
-MOST_JOINTS = 10_000
+MAX_JOINTS = 10_000
 """The largest number of joints; a body has some hundred joints with every finger."""
 
 _CHANNELS = {
@@ -228,8 +228,8 @@ def _open_joint(text: BvhText, key: str, joints: list[BvhJoint], inside: list[in
         raise text.error(f"{key} has no name", at)
     if text.word() != "{":
         raise text.error(f"expected '{{' after {key} {name}")
-    if len(joints) == MOST_JOINTS:
-        raise text.error(f"more than {MOST_JOINTS} joints: this is no body", at)
+    if len(joints) == MAX_JOINTS:
+        raise text.error(f"more than {MAX_JOINTS} joints: this is no body", at)
     inside.append(len(joints))
     joints.append(BvhJoint(name, at, parent, end=key == "END"))
 

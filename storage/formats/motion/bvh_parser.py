@@ -112,7 +112,7 @@ class Bvh:
     redundant: frozenset[int] = frozenset()
 
     @property
-    def places(self) -> dict[str, int]:
+    def indices(self) -> dict[str, int]:
         """A dict from node name to index, for all nodes that a skeleton mapping can use."""
         return _places(self.nodes, self.redundant)
 
@@ -219,7 +219,7 @@ class BvhFile(RowFile):
         self.offsets, self.redundant = hierarchy.offsets, hierarchy.redundant
 
     @property
-    def places(self) -> dict[str, int]:
+    def indices(self) -> dict[str, int]:
         """A dict from node name to index, for all nodes that a skeleton mapping can use."""
         return _places(self.nodes, self.redundant)
 

@@ -49,9 +49,9 @@ def write_chain_bvh(path: Path, motion: JointMotion) -> None:
     body = _with_clavicles(measured_body(chain, positions), positions)
     poses = fit_poses(body, positions)
     lines = ["HIERARCHY"]
-    columns: list[F64] = [poses.places]
-    _describe(body, 0, "", lines, columns, poses.turns)
-    lines += ["MOTION", f"Frames: {len(poses.places)}", f"Frame Time: {frame_time(motion.rate_hz)}"]
+    columns: list[F64] = [poses.positions]
+    _describe(body, 0, "", lines, columns, poses.rotations)
+    lines += ["MOTION", f"Frames: {len(poses.positions)}", f"Frame Time: {frame_time(motion.rate_hz)}"]
     with path.open("w", encoding="ascii", newline="\n") as file:
         file.write("\n".join(lines) + "\n")
         np.savetxt(file, np.concatenate(columns, axis=1) + 0.0, fmt="%.6f")
@@ -59,7 +59,7 @@ def write_chain_bvh(path: Path, motion: JointMotion) -> None:
 
 def _all_joints(chain: KinematicChain, motion: JointMotion) -> F64:
     """Return the joints (J, 3, T) in the order of the chain; raise a KinedexError that names missing ones."""
-    seen = np.isfinite(motion.places.sum(axis=2))
+    seen = np.isfinite(motion.positions.sum(axis=2))
     known = {name: i for i, name in enumerate(motion.joints) if seen[:, i].any()}
     unknown = [name for name in chain.joints if name not in known]
     if unknown:
@@ -69,13 +69,13 @@ def _all_joints(chain: KinematicChain, motion: JointMotion) -> F64:
     order = [known[name] for name in chain.joints]
     lost = [name for name, i in zip(chain.joints, order, strict=True) if not seen[:, i].all()]
     if lost:
-        gone = np.isnan(motion.places[:, order].sum(axis=(1, 2)))
+        gone = np.isnan(motion.positions[:, order].sum(axis=(1, 2)))
         raise KinedexError(
             f"take '{motion.name}' is invalid in {np.count_nonzero(gone)} of its {len(gone)} frames, where "
             f"{', '.join(lost)} have no place; a BVH needs every joint in every frame. Export csv or parquet, or "
             "ingest the take again with a larger fill_gap_frames, which closes longer gaps"
         )
-    return np.ascontiguousarray(motion.places[:, order].transpose(1, 2, 0), np.float64)
+    return np.ascontiguousarray(motion.positions[:, order].transpose(1, 2, 0), np.float64)
 
 
 def _with_clavicles(body: ChainBody, positions: F64) -> ChainBody:
@@ -96,22 +96,22 @@ def _with_clavicles(body: ChainBody, positions: F64) -> ChainBody:
     return ChainBody(chain, offsets)
 
 
-def _describe(body: ChainBody, node: int, pad: str, lines: list[str], columns: list[F64], turns: F64) -> None:
+def _describe(body: ChainBody, node: int, pad: str, lines: list[str], columns: list[F64], rotations: F64) -> None:
     """Append the lines of a node and its descendants, and the columns of their rotations in degrees."""
     chain, inner = body.chain, pad + "\t"
     root = chain.parents[node] < 0
     offset = np.zeros(3) if root else body.offsets[chain.centres[node]]
     lines += [f"{pad}{'ROOT' if root else 'JOINT'} {_name(body, node)}", f"{pad}{{", f"{inner}OFFSET {_text(offset)}"]
     lines.append(f"{inner}CHANNELS {f'6 Xposition Yposition Zposition {_CHANNELS}' if root else f'3 {_CHANNELS}'}")
-    columns.append(np.rad2deg(euler_angles(turns[:, node], ORDER)))
+    columns.append(np.rad2deg(euler_angles(rotations[:, node], ORDER)))
     for child in (k for k, parent in enumerate(chain.parents) if parent == node):
-        _describe(body, child, inner, lines, columns, turns)
+        _describe(body, child, inner, lines, columns, rotations)
     names = {_name(body, k) for k in range(len(chain.nodes))}
     for j in (j for j, rest in enumerate(chain.rest) if rest.node == node and chain.joints[j] not in names):
         lines += [f"{inner}JOINT {chain.joints[j]}", f"{inner}{{", f"{inner}\tOFFSET {_text(body.offsets[j])}"]
         lines += [f"{inner}\tCHANNELS 3 {_CHANNELS}", f"{inner}\tEnd Site", f"{inner}\t{{"]
         lines += [f"{inner}\t\tOFFSET {_text(np.zeros(3))}", f"{inner}\t}}", f"{inner}}}"]
-        columns.append(np.zeros((len(turns), 3)))
+        columns.append(np.zeros((len(rotations), 3)))
     lines.append(f"{pad}}}")
 
 

@@ -19,7 +19,7 @@ from kinedex.catalog.skeletons.mappings import Format, Mappings
 from kinedex.ops.errors import SourceError
 from kinedex.storage.formats.motion.c3d_layout import DEC, Layout, order_of, read_layout, real
 from kinedex.storage.formats.motion.mapped_body import recognition_warnings
-from kinedex.storage.formats.motion.numpy_arrays import MOST_BYTES
+from kinedex.storage.formats.motion.numpy_arrays import MAX_BYTES
 from kinedex.storage.formats.motion.points import (
     FittedPoints,
     Points,
@@ -35,7 +35,7 @@ from kinedex.storage.formats.source_files import source_errors
 
 F64 = npt.NDArray[np.float64]
 
-_AT_ONCE = 4_000_000  # numbers of the frames decoded at once: some 50 MB
+_BLOCK_NUMBERS = 4_000_000  # numbers of the frames decoded at once: some 50 MB
 _UNITS_M = {
     "m": 1.0, "cm": 0.01, "mm": 0.001, "in": 0.0254, "meters": 1.0, "metres": 1.0, "centimeters": 0.01,
     "centimetres": 0.01, "millimeters": 0.001, "millimetres": 0.001, "inches": 0.0254,
@@ -77,10 +77,10 @@ def parse_c3d(path: Path) -> Markers:
         The file contradicts itself or its size.
     """
     layout = read_layout(path)
-    if 24 * layout.points * layout.frames > MOST_BYTES:
+    if 24 * layout.points * layout.frames > MAX_BYTES:
         size = 24 * layout.points * layout.frames / 1e9
         raise SourceError(
-            path, f"takes {size:.1f} GB in memory; write shorter takes, of {MOST_BYTES / 1e9:.1f} GB at most"
+            path, f"takes {size:.1f} GB in memory; write shorter takes, of {MAX_BYTES / 1e9:.1f} GB at most"
         )
     positions = np.empty((layout.points, 3, layout.frames))
     step = _frames_at_once(layout)
@@ -107,7 +107,7 @@ def frames_bytes(layout: Layout) -> int:
 
 
 def _frames_at_once(layout: Layout) -> int:
-    return max(1, _AT_ONCE // (4 * layout.points + layout.analog))
+    return max(1, _BLOCK_NUMBERS // (4 * layout.points + layout.analog))
 
 
 def _decode(path: Path, layout: Layout, start: int, stop: int) -> F64:
@@ -122,13 +122,13 @@ def _decode(path: Path, layout: Layout, start: int, stop: int) -> F64:
         raw = raw.view("<u2").reshape(-1, 2)[:, ::-1].copy().view(np.uint8).reshape(-1)
     numbers = raw.view(kind).reshape(count, row)[:, : 4 * layout.points].reshape(count, layout.points, 4)
     with np.errstate(invalid="ignore", over="ignore"):
-        places = numbers[:, :, :3].astype(np.float64)
+        positions = numbers[:, :, :3].astype(np.float64)
         if layout.size == 2:
-            places *= real(layout.scale, layout.processor)
+            positions *= real(layout.scale, layout.processor)
         elif layout.processor == DEC:
-            places /= 4.0
-        places[numbers[:, :, 3] < 0] = np.nan
-    return places.transpose(1, 2, 0)
+            positions /= 4.0
+        positions[numbers[:, :, 3] < 0] = np.nan
+    return positions.transpose(1, 2, 0)
 
 
 def _texts(layout: Layout, name: str) -> list[str]:
@@ -243,6 +243,6 @@ class C3dReader(Reader):
         """
         markers = points_of_person(parse_c3d(file.path), file.person)
         evidence = evidence_of(markers, markers.up)
-        fit = mappings.detect(file.path, "c3d", markers.places(), evidence).upright(markers.up)
+        fit = mappings.detect(file.path, "c3d", markers.indices(), evidence).upright(markers.up)
         warnings = [*markers.warnings, *recognition_warnings(fit)]
         return FittedPoints(markers, upright(fit, evidence, warnings), warnings)

@@ -14,7 +14,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from kinedex.ops.errors import SourceError
-from kinedex.storage.formats.motion.reader import MOST_POINTS
+from kinedex.storage.formats.motion.reader import MAX_POINTS
 from kinedex.storage.formats.source_files import any_text, file_size, part_of
 
 BLOCK = 512
@@ -30,7 +30,7 @@ _USED = {
 """The groups and parameters that are read; others may be damaged."""
 
 _LONGEST_HEAD = 16 << 20  # bytes of header and parameters; 300 labels take some 50 kB
-_MOST_COUNTED = 0xFFFF  # frames; the largest number in 16 bits
+_MAX_COUNTED = 0xFFFF  # frames; the largest number in 16 bits
 
 
 @dataclass(frozen=True)
@@ -158,8 +158,8 @@ def read_layout(path: Path) -> Layout:
     stated = found.get("POINT:USED")
     if stated is not None and stated.words:
         points = stated.words[0]
-    if not 0 < points <= MOST_POINTS:
-        raise SourceError(path, f"expected 1 to {MOST_POINTS} markers, it states {points}")
+    if not 0 < points <= MAX_POINTS:
+        raise SourceError(path, f"expected 1 to {MAX_POINTS} markers, it states {points}")
     channels = found.get("ANALOG:USED")
     start = _start(path, found, start_block, begin + 4, size)
     scale = _real(found, "POINT:SCALE") or head[12:16]
@@ -293,7 +293,7 @@ def _fit(
         raise SourceError(path, "holds no frames" if counts else "does not state how many frames it holds")
     if counts[0] > there:
         return analog, there, (*doubt, f"the file states {counts[0]} frames, it holds {there}, which are kept")
-    if counts[0] == _MOST_COUNTED:
+    if counts[0] == _MAX_COUNTED:
         there -= _empty(path, start + there * size, size)
         most = f"the file states {counts[0]} frames, the most that it can state, and holds {there}"
         return analog, there, (*doubt, most)

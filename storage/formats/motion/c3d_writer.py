@@ -12,9 +12,9 @@ import numpy.typing as npt
 from kinedex.storage.formats.motion.c3d_layout import BLOCK, INTEL, KEY
 from kinedex.storage.formats.motion.joint_motion import MARKER_NAMES, JointMotion, seen_markers
 
-_MOST_COUNTED = 0xFFFF  # frames; the largest number in 16 bits
+_MAX_COUNTED = 0xFFFF  # frames; the largest number in 16 bits
 _FLOATS = -1.0  # a negative scale marks floating-point numbers
-_AT_ONCE = 16_384  # frames written at once
+_BLOCK_FRAMES = 16_384  # frames written at once
 _NEAR_ORIGIN_MM = 1e-6
 
 
@@ -37,9 +37,9 @@ def write_c3d(path: Path, motion: JointMotion) -> None:
     KinedexError
         No joint is seen in any frame.
     """
-    joints, places = seen_markers(motion)
-    frames = len(places)
-    counted = min(frames, _MOST_COUNTED)
+    joints, positions = seen_markers(motion)
+    frames = len(positions)
+    counted = min(frames, _MAX_COUNTED)
     blocks = -(-(4 + len(_parameters(joints, motion.rate_hz, frames, 1))) // BLOCK)
     parameters = _parameters(joints, motion.rate_hz, frames, 2 + blocks)
     header = struct.pack(
@@ -48,17 +48,17 @@ def write_c3d(path: Path, motion: JointMotion) -> None:
     with path.open("wb") as file:
         file.write(header.ljust(BLOCK, b"\0"))
         file.write((bytes([1, KEY, blocks, INTEL]) + parameters).ljust(blocks * BLOCK, b"\0"))
-        for start in range(0, frames, _AT_ONCE):
-            file.write(_numbers(places[start : start + _AT_ONCE]).tobytes())
-        if frames <= _MOST_COUNTED:  # some programs read frames up to the end of the file in longer takes
+        for start in range(0, frames, _BLOCK_FRAMES):
+            file.write(_numbers(positions[start : start + _BLOCK_FRAMES]).tobytes())
+        if frames <= _MAX_COUNTED:  # some programs read frames up to the end of the file in longer takes
             file.write(b"\0" * (-file.tell() % BLOCK))
 
 
-def _numbers(places: npt.NDArray[np.float32]) -> npt.NDArray[np.float32]:
+def _numbers(positions: npt.NDArray[np.float32]) -> npt.NDArray[np.float32]:
     """Return x, y, z in millimetres and the residual of every point (T, points, 4)."""
-    numbers = np.zeros((*places.shape[:2], 4), "<f4")
-    seen = np.isfinite(places[:, :, 0])
-    found = places[seen].astype(np.float64) * 1000.0
+    numbers = np.zeros((*positions.shape[:2], 4), "<f4")
+    seen = np.isfinite(positions[:, :, 0])
+    found = positions[seen].astype(np.float64) * 1000.0
     found[~found.any(axis=1), 0] = _NEAR_ORIGIN_MM
     numbers[seen, :3] = found
     numbers[~seen, 3] = -1.0
@@ -68,14 +68,14 @@ def _numbers(places: npt.NDArray[np.float32]) -> npt.NDArray[np.float32]:
 def _parameters(joints: Sequence[str], rate_hz: float, frames: int, start: int) -> bytes:
     """Return the groups with their parameters; `start` is the block of the first frame, from 1."""
     labels = [MARKER_NAMES[joint] for joint in joints]
-    long = [_parameter(1, "LONG_FRAMES", _real(frames))] if frames > _MOST_COUNTED else []
+    long = [_parameter(1, "LONG_FRAMES", _real(frames))] if frames > _MAX_COUNTED else []
     parts = [
         _group(1, "POINT", "joints of a body in place of markers"),
         _parameter(1, "USED", _words(len(joints))),
         _parameter(1, "SCALE", _real(_FLOATS)),
         _parameter(1, "RATE", _real(rate_hz)),
         _parameter(1, "DATA_START", _words(start)),
-        _parameter(1, "FRAMES", _words(min(frames, _MOST_COUNTED))),
+        _parameter(1, "FRAMES", _words(min(frames, _MAX_COUNTED))),
         *long,
         _parameter(1, "LABELS", _texts(labels)),
         _parameter(1, "DESCRIPTIONS", _texts([f"joint {joint} of kinedex" for joint in joints])),

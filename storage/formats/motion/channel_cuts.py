@@ -18,7 +18,7 @@ import numpy.typing as npt
 from kinedex.catalog.skeletons.mappings import Mappings
 from kinedex.ops import textnumbers
 from kinedex.ops.errors import KinedexError, ParameterError, SourceError
-from kinedex.storage.disk import whole_file
+from kinedex.storage.durable_files import whole_file
 from kinedex.storage.formats.motion.reader import FASTEST_HZ, SLOWEST_HZ
 from kinedex.storage.formats.motion.sources import checksum
 from kinedex.storage.formats.motion.text_blocks import blocks
@@ -216,8 +216,8 @@ class TextRows:
         data = part_of(self.path, end - begin, begin)
         if len(data) != end - begin or file_size(self.path) != self.starts[-1]:
             raise SourceError(self.path, "was changed while it was read; run again when it is whole")
-        places = self.starts[start : stop + 1] - begin
-        frames = [data[a:b] for a, b in pairwise(places)]
+        positions = self.starts[start : stop + 1] - begin
+        frames = [data[a:b] for a, b in pairwise(positions)]
         if frames and not frames[-1].endswith((b"\n", b"\r")):
             frames[-1] += self.newline
         return frames

@@ -18,7 +18,7 @@ from kinedex.catalog.skeletons.skeleton_fit import Fit
 from kinedex.ops.body import kinematics as k
 from kinedex.ops.body import transforms
 from kinedex.ops.body.euler import euler_angles, matrices_of
-from kinedex.ops.body.facing_direction import mirrored_places, placement_of, turn_about_y
+from kinedex.ops.body.facing_direction import mirrored_positions, placement_of, turn_about_y
 from kinedex.ops.errors import KinedexError, ParameterError, SourceError
 from kinedex.storage.formats.motion.channel_cuts import SourceCut
 
@@ -26,7 +26,7 @@ F64 = npt.NDArray[np.float64]
 Tokens = list[list[bytes]]
 
 _KINDS = ("Xrotation", "Yrotation", "Zrotation", "Xposition", "Yposition", "Zposition", "length")
-_LEAST_DECIMALS, _MOST_DECIMALS = 4, 12
+_MIN_DECIMALS, _MAX_DECIMALS = 4, 12
 _PAIRS = ("hip", "shoulder")
 _DECIMALS = re.compile(rb"\.([0-9]*)")
 
@@ -200,11 +200,13 @@ def _to_origin(
     """Return the rotation and translation, in the file's axes, that put a frame's body at the origin, facing +Z."""
     joints, axes = tuple(figure.fit.joints), figure.fit.mapping.axes
     found, _ = k.forward(figure.nodes, figure.values([row]))
-    places = figure.fit.apply(found, joints)[:, :, 0]
+    positions = figure.fit.apply(found, joints)[:, :, 0]
     if plane is not None:
         reflection = np.diag(1.0 - 2.0 * np.eye(3)[plane.axis])
-        places = mirrored_places(places[None], joints)[0] * [-1.0, 1.0, 1.0] @ (axes @ turn @ reflection @ axes.T).T
-    known = dict(zip(joints, places, strict=True))
+        positions = (
+            mirrored_positions(positions[None], joints)[0] * [-1.0, 1.0, 1.0] @ (axes @ turn @ reflection @ axes.T).T
+        )
+    known = dict(zip(joints, positions, strict=True))
     gap = np.full(3, np.nan)
     left, right = (np.stack([known.get(f"{side}{pair}", gap) for pair in _PAIRS]) for side in "lr")
     try:
@@ -223,20 +225,20 @@ def _moved(figure: Figure, tokens: Tokens, turn: F64, shift: F64) -> Tokens:
     moves = [
         next((step.column for step in root.steps if step.kind == kind), -1) for kind in (k.MOVE_X, k.MOVE_Y, k.MOVE_Z)
     ]
-    turns = [step for step in root.steps if step.kind <= k.ROTATE_Z]
-    if -1 in moves or len(turns) != 3:
+    rotations = [step for step in root.steps if step.kind <= k.ROTATE_Z]
+    if -1 in moves or len(rotations) != 3:
         has = " ".join(_KINDS[step.kind] for step in root.steps) or "none"
         raise SourceError(
             figure.path,
             f"cannot be moved or turned: its root '{root.name}' has the channels {has}, and needs three positions and "
             "three rotations; change the 24 joints instead (kinedex export --joints)",
         )
-    values, columns = figure.values(tokens), [step.column for step in turns]
-    order = "".join("XYZ"[step.kind] for step in turns)
+    values, columns = figure.values(tokens), [step.column for step in rotations]
+    order = "".join("XYZ"[step.kind] for step in rotations)
     rotated = np.einsum("ab,tbc->tac", turn, matrices_of(values[:, columns], order))
-    places = (values[:, moves] + root.before) @ turn.T + shift - root.before
+    positions = (values[:, moves] + root.before) @ turn.T + shift - root.before
     values[:, columns] = euler_angles(rotated, order)
-    values[:, moves] = places
+    values[:, moves] = positions
     return _texts(figure, values, tokens, [*moves, *columns])
 
 
@@ -259,9 +261,9 @@ def _resampled(figure: Figure, tokens: Tokens, before_hz: float, after_hz: float
     apart[:, angles] -= 2 * np.pi * np.round(apart[:, angles] / (2 * np.pi))
     mixed = first + share[:, None] * apart
     for node in figure.nodes:
-        turns = [step for step in node.steps if step.kind <= k.ROTATE_Z]
-        if len(turns) == 3:
-            columns, order = [step.column for step in turns], "".join("XYZ"[step.kind] for step in turns)
+        rotations = [step for step in node.steps if step.kind <= k.ROTATE_Z]
+        if len(rotations) == 3:
+            columns, order = [step.column for step in rotations], "".join("XYZ"[step.kind] for step in rotations)
             ends = [k.quaternions(matrices_of(one[:, columns], order).reshape(-1, 9).T).T for one in (first, second)]
             turned = transforms.rotations(transforms.slerp(ends[0], ends[1], share))
             mixed[:, columns] = euler_angles(turned, order, first[:, columns])
@@ -275,7 +277,7 @@ def _texts(figure: Figure, values: F64, tokens: Tokens, columns: Sequence[int]) 
     for column in columns:
         factor = figure.angle if figure.kinds[column] <= k.ROTATE_Z else figure.scale
         found = max((len(point[1]) for row in tokens if (point := _DECIMALS.search(row[column]))), default=0)
-        decimals = min(max(found, _LEAST_DECIMALS), _MOST_DECIMALS)
+        decimals = min(max(found, _MIN_DECIMALS), _MAX_DECIMALS)
         for row, value in zip(rows, (values[:, column] / factor).tolist(), strict=True):
             row[column] = f"{value:.{decimals}f}".encode()
     return rows

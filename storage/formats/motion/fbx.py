@@ -128,7 +128,7 @@ def figure_of(scene: Scene, clip: FigureClip[Clip]) -> Figure:
     nodes = [scene.nodes[node] for node in chain]
     place = {node: i for i, node in enumerate(chain)}
     curves = {(place[key[0]], key[1], key[2]): curve for key, curve in clip.content.curves.items() if key[0] in place}
-    rest, places, posed = rest_of(scene, clip.group)
+    rest, positions, posed = rest_of(scene, clip.group)
     warnings = []
     if clip.content.layers > 1:
         warnings.append(f"clip '{clip.clip}' has several layers; only the first is read")
@@ -136,7 +136,7 @@ def figure_of(scene: Scene, clip: FigureClip[Clip]) -> Figure:
     return Figure(
         names=unique_names([scene.nodes[node].name or f"node {node}" for node in clip.group.nodes]),
         parents=clip.group.parents,
-        rest=places @ scene.axes.T,
+        rest=positions @ scene.axes.T,
         poses=ScenePoses(parents, shown, _Local(nodes, curves, OFF_GRID / rate_hz), start, rate_hz, scene.axes, rest),
         frames=frames,
         rate_hz=rate_hz,
@@ -160,26 +160,26 @@ def rest_of(scene: Scene, group: Group) -> tuple[F64, F64, str]:
     chain, parents, shown = group.chain(scene.parents)
     parts = [scene.nodes[node].local(*(move[None] for move in scene.nodes[node].moves)) for node in chain]
     linear, offsets = (np.stack([part[i] for part in parts]) for i in range(2))
-    whole, places = global_transforms(parents, linear, offsets)
-    own, bound = _lengths(parents, shown, places[:, 0]), scene.bind_pose()
+    whole, positions = global_transforms(parents, linear, offsets)
+    own, bound = _lengths(parents, shown, positions[:, 0]), scene.bind_pose()
     if bound:
         for i, above in enumerate(parents):
             if (matrix := bound.get(chain[i])) is not None:
-                whole[i, 0], places[i, 0] = matrix[:3, :3], matrix[:3, 3]
+                whole[i, 0], positions[i, 0] = matrix[:3, :3], matrix[:3, 3]
             elif above >= 0:
-                whole[i], places[i] = whole[above] @ linear[i], places[above] + whole[above, 0] @ offsets[i, 0]
-        lengths = _lengths(parents, shown, places[:, 0])
+                whole[i], positions[i] = whole[above] @ linear[i], positions[above] + whole[above, 0] @ offsets[i, 0]
+        lengths = _lengths(parents, shown, positions[:, 0])
         alike = np.abs(lengths - own) <= _ALIKE * own.max(initial=0.0)
         if alike.all() and sum(chain[i] in bound for i in shown) > len(shown) // 2:
-            return without_scale(whole[list(shown), 0]), places[list(shown), 0], "the pose of binding"
-        whole, places = global_transforms(parents, linear, offsets)
-    return without_scale(whole[list(shown), 0]), places[list(shown), 0], "that of the scene outside of clips"
+            return without_scale(whole[list(shown), 0]), positions[list(shown), 0], "the pose of binding"
+        whole, positions = global_transforms(parents, linear, offsets)
+    return without_scale(whole[list(shown), 0]), positions[list(shown), 0], "that of the scene outside of clips"
 
 
-def _lengths(parents: Sequence[int], shown: Sequence[int], places: F64) -> F64:
+def _lengths(parents: Sequence[int], shown: Sequence[int], positions: F64) -> F64:
     """Return the distance of each of a figure's nodes from its parent."""
     pairs = [(i, parents[i]) for i in shown[1:] if parents[i] >= 0]
-    lengths: F64 = np.array([np.linalg.norm(places[i] - places[above]) for i, above in pairs], np.float64)
+    lengths: F64 = np.array([np.linalg.norm(positions[i] - positions[above]) for i, above in pairs], np.float64)
     return lengths
 
 

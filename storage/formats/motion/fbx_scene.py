@@ -17,7 +17,7 @@ from kinedex.ops.body.keyframe_tracks import Curve
 from kinedex.ops.body.kinematics import euler
 from kinedex.ops.errors import SourceError
 from kinedex.storage.formats.motion.fbx_records import Record, Value, read_records
-from kinedex.storage.formats.motion.reader import MOST_POINTS
+from kinedex.storage.formats.motion.reader import MAX_POINTS
 from kinedex.storage.formats.source_files import source_bytes
 
 F64 = npt.NDArray[np.float64]
@@ -78,15 +78,15 @@ class SceneNode:
         zero = np.zeros(3)
         offset, pivot = (self.points.get(f"Rotation{end}", zero) for end in ("Offset", "Pivot"))
         scale_offset, scale_pivot = (self.points.get(f"Scaling{end}", zero) for end in ("Offset", "Pivot"))
-        before, after = (turn(self.points.get(name, zero)) for name in ("PreRotation", "PostRotation"))
-        turns = before @ rotations_of(turned, self.order) @ after.T
-        linear = turns * scaled[:, None, :]
+        before, after = (euler_rotation(self.points.get(name, zero)) for name in ("PreRotation", "PostRotation"))
+        rotations = before @ rotations_of(turned, self.order) @ after.T
+        linear = rotations * scaled[:, None, :]
         about = scale_offset + scale_pivot - pivot
-        place = moved + offset + pivot + turns @ about - linear @ scale_pivot
+        place = moved + offset + pivot + rotations @ about - linear @ scale_pivot
         return linear, place
 
 
-def turn(degrees: F64) -> F64:
+def euler_rotation(degrees: F64) -> F64:
     """Return the matrix of rotations about X, then Y, then Z, as pre- and post-rotations use it."""
     return euler((float(degrees[0]), float(degrees[1]), float(degrees[2])), "XYZ")
 
@@ -205,8 +205,8 @@ class Scene:
             number, name, kind = ([*record.values, "", "", ""])[:3]
             if not isinstance(number, int) or number in self._place:
                 continue
-            if len(self.nodes) == MOST_POINTS:
-                raise SourceError(self.path, f"has more than {MOST_POINTS} nodes")
+            if len(self.nodes) == MAX_POINTS:
+                raise SourceError(self.path, f"has more than {MAX_POINTS} nodes")
             self._place[number] = len(self.nodes)
             self.nodes.append(_node(_called(name), str(kind), _properties(record)))
         self.parents = [-1] * len(self.nodes)

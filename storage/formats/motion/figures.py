@@ -14,7 +14,7 @@ from typing import ClassVar, NamedTuple, Protocol
 import numpy as np
 import numpy.typing as npt
 
-from kinedex.catalog.skeletons.evidence import SAMPLED_FRAMES, Evidence
+from kinedex.catalog.skeletons.body_evidence import SAMPLED_FRAMES, Evidence
 from kinedex.catalog.skeletons.mappings import Fit, Format, Mappings
 from kinedex.ops.body import kinematics
 from kinedex.ops.body.transforms import global_transforms, without_scale
@@ -33,10 +33,10 @@ from kinedex.storage.formats.motion.reader import Body, MotionFile, Reader, Read
 F64 = npt.NDArray[np.float64]
 I64 = npt.NDArray[np.int64]
 
-AT_ONCE = 1024
+BLOCK_FRAMES = 1024
 """The largest number of frames that are posed at once."""
 
-MOST_FREE_FRAMES = 100_000
+MAX_FREE_FRAMES = 100_000
 """The number of frames that any clip may have; a longer one must have keys in a hundredth of its frames."""
 
 _NO_LENGTH_M, _APART_M = 1e-5, 0.01
@@ -86,8 +86,8 @@ class ScenePoses:
     def at(self, frames: I64, oriented: Sequence[int]) -> tuple[F64, F64]:
         """Return the positions of the nodes (N, 3, K), and the rotations (M, 9, K) of some from their rest pose."""
         with np.errstate(over="ignore", invalid="ignore"):  # joints with such numbers are refused later as too far away
-            whole, places = global_transforms(self.parents, *self.local(self.start + frames / self.rate_hz))
-            shown = places[list(self.shown)] @ self.axes.T
+            whole, positions = global_transforms(self.parents, *self.local(self.start + frames / self.rate_hz))
+            shown = positions[list(self.shown)] @ self.axes.T
         nodes = list(oriented)
         turned = without_scale(whole[[self.shown[node] for node in nodes]])
         turned = turned @ self.rest[nodes].transpose(0, 2, 1)[:, None]
@@ -191,7 +191,7 @@ class FigureReader(Reader):
 
 def refuse_many_frames(path: Path, frames: int, keys: int) -> None:
     """Raise SourceError if a few keys claim a motion of implausible length."""
-    most = max(MOST_FREE_FRAMES, 100 * keys)
+    most = max(MAX_FREE_FRAMES, 100 * keys)
     if frames > most:
         raise SourceError(path, f"its {keys} key times make {frames} frames, more than {most}: a time must be wrong")
 
@@ -203,7 +203,7 @@ def figure_bytes(frames: int, nodes: int, joints: int) -> int:
 
 def _at_once(nodes: int) -> int:
     """Return the number of frames that are posed at once, for at most some 100 MB of node data."""
-    return min(AT_ONCE, max(SAMPLED_FRAMES, 200_000 // nodes))
+    return min(BLOCK_FRAMES, max(SAMPLED_FRAMES, 200_000 // nodes))
 
 
 class FittedFigure(NamedTuple):
@@ -258,15 +258,15 @@ def fitted_figure(path: Path, figure: Figure, mappings: Mappings, joints: tuple[
     )
 
 
-def _evidence(figure: Figure, places: F64) -> Evidence:
+def _evidence(figure: Figure, positions: F64) -> Evidence:
     """Return the evidence for recognising a figure; bones whose length is only a rounding error get none."""
-    places, offsets = places.copy(), figure.rest.copy()
+    positions, offsets = positions.copy(), figure.rest.copy()
     for node, above in enumerate(figure.parents):
         if above >= 0:
             offsets[node] -= figure.rest[above]
-            if np.abs(places[node] - places[above]).max() < _NO_LENGTH_M:
-                places[node], offsets[node] = places[above], 0.0
-    return Evidence(figure.names, places, figure.parents, offsets, "y" if figure.upright else None, 1.0)
+            if np.abs(positions[node] - positions[above]).max() < _NO_LENGTH_M:
+                positions[node], offsets[node] = positions[above], 0.0
+    return Evidence(figure.names, positions, figure.parents, offsets, "y" if figure.upright else None, 1.0)
 
 
 @dataclass(frozen=True)
@@ -278,15 +278,15 @@ class _Bone:
     way: F64
 
 
-def _lost_bones(figure: Figure, fit: Fit, places: F64) -> list[_Bone]:
+def _lost_bones(figure: Figure, fit: Fit, positions: F64) -> list[_Bone]:
     """Return the bones that have no length in sampled frames, but one in the mapping."""
     bones = []
     for name, weights in fit.mapping.bones.items():
-        node = fit.places[name]
+        node = fit.indices[name]
         parent = figure.parents[node]
-        if parent < 0 or np.abs(places[node] - places[parent]).max() > _NO_LENGTH_M:
+        if parent < 0 or np.abs(positions[node] - positions[parent]).max() > _NO_LENGTH_M:
             continue
-        others = [(weight, fit.places[other]) for other, weight in weights.items()]
+        others = [(weight, fit.indices[other]) for other, weight in weights.items()]
         way = sum(weight * (figure.rest[other] - figure.rest[figure.parents[other]]) for weight, other in others)
         members = [node]
         for i, above in enumerate(figure.parents):
@@ -302,9 +302,9 @@ def _posed(figure: Figure, fit: Fit, joints: tuple[str, ...], bones: Sequence[_B
     step = _at_once(len(figure.names))
     for start in range(0, figure.frames, step):
         part = np.arange(start, min(start + step, figure.frames))
-        places, turns = figure.poses.at(part, [fit.root, *(bone.parent for bone in bones)])
-        turned[:, part] = turns[0]
-        for bone, turn in zip(bones, turns[1:], strict=True):
+        places, rotations = figure.poses.at(part, [fit.root, *(bone.parent for bone in bones)])
+        turned[:, part] = rotations[0]
+        for bone, turn in zip(bones, rotations[1:], strict=True):
             places[list(bone.members)] += np.einsum("abk,b->ak", turn.reshape(3, 3, -1), bone.way)
         positions[:, :, part] = fit.apply(places, joints)
     return positions, turned
@@ -335,7 +335,7 @@ def _orientation(fit: Fit, figure: Figure, turned: F64, positions: F64, joints: 
 def _spine_base(fit: Fit, figure: Figure) -> F64:
     """Return the vector at rest from the root to the first spine node at another position, in the file's axes."""
     mix = fit.joints.get("chest")
-    node = fit.places[mix.names[0]] if mix is not None and not mix.of_joints else fit.root
+    node = fit.indices[mix.names[0]] if mix is not None and not mix.of_joints else fit.root
     way: F64 = np.zeros(3)
     while node not in (fit.root, -1):
         further = figure.rest[node] - figure.rest[fit.root]

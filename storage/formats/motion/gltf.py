@@ -140,7 +140,7 @@ class _Local:
 
     linear: F64
     offsets: F64
-    turns: F64
+    rotations: F64
     scales: F64
     tracks: Sequence[_Track]
     late: float
@@ -156,7 +156,7 @@ class _Local:
             moved.setdefault(track.node, {})[track.path] = rotations(found[:, [3, 0, 1, 2]]) if turning else found
         for node, parts in moved.items():
             offsets[node] = parts.get("translation", self.offsets[node])
-            turns = parts.get("rotation", rotations(self.turns[node]))
+            turns = parts.get("rotation", rotations(self.rotations[node]))
             linear[node] = turns * parts.get("scale", self.scales[node])[..., None, :]
         return linear, offsets
 
@@ -177,10 +177,10 @@ def _figure(document: Document, clip: FigureClip[Animation]) -> Figure:
         if nodes[node].matrix is not None:
             linear[i], offsets[i] = matrix_parts(nodes[node])
     axes = _HALF_TURN if "VRM" in document.content.extensions else np.eye(3)
-    whole, places = global_transforms(parents, linear[:, None], offsets[:, None])
+    whole, positions = global_transforms(parents, linear[:, None], offsets[:, None])
     kept = [replace(track, node=place[track.node]) for track in tracks if track.node in place]
     local = _Local(linear, offsets, turns, scales, kept, OFF_GRID / rate_hz)
-    whole, places, posed = _bound(document, chain, parents, (linear, offsets), (whole[:, 0], places[:, 0]))
+    whole, positions, posed = _bound(document, chain, parents, (linear, offsets), (whole[:, 0], positions[:, 0]))
     rest = without_scale(whole[list(shown)])
     poses = ScenePoses(parents, shown, local, float(times[0]), rate_hz, axes, rest)
     sampled = f"its keys have times and no rate; they are sampled at {rate_hz:.6g} Hz"
@@ -190,7 +190,7 @@ def _figure(document: Document, clip: FigureClip[Animation]) -> Figure:
     return Figure(
         names=unique_names([bones.get(node) or nodes[node].name or f"node {node}" for node in clip.group.nodes]),
         parents=clip.group.parents,
-        rest=places[list(shown)] @ axes.T,
+        rest=positions[list(shown)] @ axes.T,
         poses=poses,
         frames=frames,
         rate_hz=rate_hz,
@@ -208,26 +208,26 @@ def _bound(
     clips. Bind matrices have their own axes; these are taken as the scene's up to right angles, which the first joint
     suggests.
     """
-    whole, places = scene
+    whole, positions = scene
     inverse = _binding(document)
     bound = [(i, inverse[node]) for i, node in enumerate(chain) if node in inverse]
     between = [whole[i] @ matrix[:3, :3] for i, matrix in bound]  # from the axes of the bind matrices to the scene's
     usable = bool(bound) and all(abs(np.linalg.det(matrix)) > 1e-12 for matrix in between)
     if not usable:
-        return whole, places, "that of the scene outside of clips"
-    turns = without_scale(np.array(between))
-    if (np.einsum("ab,kab->k", turns[0], turns) > 3.0 - 1e-3).all():
-        return whole, places, "the pose of binding"
-    axes = _right_angles(turns[0]) * np.cbrt(np.linalg.det(between[0]))
+        return whole, positions, "that of the scene outside of clips"
+    rotations = without_scale(np.array(between))
+    if (np.einsum("ab,kab->k", rotations[0], rotations) > 3.0 - 1e-3).all():
+        return whole, positions, "the pose of binding"
+    axes = _right_angles(rotations[0]) * np.cbrt(np.linalg.det(between[0]))
     matrices = {i: np.linalg.inv(matrix) for i, matrix in bound}
-    moved = places[bound[0][0]] - axes @ matrices[bound[0][0]][:3, 3]
-    whole, places = whole.copy(), places.copy()
+    moved = positions[bound[0][0]] - axes @ matrices[bound[0][0]][:3, 3]
+    whole, positions = whole.copy(), positions.copy()
     for i, above in enumerate(parents):
         if i in matrices:
-            whole[i], places[i] = axes @ matrices[i][:3, :3], axes @ matrices[i][:3, 3] + moved
+            whole[i], positions[i] = axes @ matrices[i][:3, :3], axes @ matrices[i][:3, 3] + moved
         elif above >= 0:
-            whole[i], places[i] = whole[above] @ local[0][i], places[above] + whole[above] @ local[1][i]
-    return whole, places, "the pose of binding"
+            whole[i], positions[i] = whole[above] @ local[0][i], positions[above] + whole[above] @ local[1][i]
+    return whole, positions, "the pose of binding"
 
 
 def _binding(document: Document) -> dict[int, F64]:
@@ -247,8 +247,8 @@ def _binding(document: Document) -> dict[int, F64]:
 def _right_angles(turn: F64) -> F64:
     """Return the nearest rotation that is composed of right angles about the axes."""
     ways = [[s * np.eye(3)[i] for i in range(3) for s in (1, -1)] for _ in range(2)]
-    turns = [np.array([x, y, np.cross(x, y)]) for x in ways[0] for y in ways[1] if abs(x @ y) < 0.5]
-    return max(turns, key=lambda other: float(np.sum(other * turn)))
+    rotations = [np.array([x, y, np.cross(x, y)]) for x in ways[0] for y in ways[1] if abs(x @ y) < 0.5]
+    return max(rotations, key=lambda other: float(np.sum(other * turn)))
 
 
 def _tracks(document: Document, animation: Animation) -> list[_Track]:

@@ -21,7 +21,7 @@ import numpy.typing as npt
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from kinedex.ops.errors import SourceError
-from kinedex.storage.formats.motion.reader import MOST_POINTS
+from kinedex.storage.formats.motion.reader import MAX_POINTS
 from kinedex.storage.formats.source_files import file_size, part_of, source_errors
 
 F64 = npt.NDArray[np.float64]
@@ -29,10 +29,10 @@ F64 = npt.NDArray[np.float64]
 LONGEST_JSON = 64 << 20
 """The largest size of the JSON in bytes; larger ones embed models that belong in a .glb or a .bin file."""
 
-MOST_NUMBERS = 50_000_000
+MAX_NUMBERS = 50_000_000
 """The largest number of values of an accessor; as many 32-bit numbers take 200 MB."""
 
-MOST_ENTRIES = 50_000
+MAX_ENTRIES = 50_000
 """The largest number of entries of a list in the JSON, nested ones included; whole scenes have thousands."""
 
 _COMPONENTS = {5120: "i1", 5121: "u1", 5122: "<i2", 5123: "<u2", 5125: "<u4", 5126: "<f4"}
@@ -223,8 +223,8 @@ class Document:
             raise self.error(f"accessors.{index} must be of type {kind}, got {got[:40]}")
         accessor, where = accessors[index], f"accessors.{index}"
         size = _SIZES[kind]
-        if accessor.count * size > MOST_NUMBERS:
-            raise self.error(f"{where} has {accessor.count * size} numbers, more than {MOST_NUMBERS}")
+        if accessor.count * size > MAX_NUMBERS:
+            raise self.error(f"{where} has {accessor.count * size} numbers, more than {MAX_NUMBERS}")
         dtype = self._dtype(accessor.componentType, where)
         if accessor.bufferView is None:
             if accessor.count > 1_000_000:
@@ -245,12 +245,12 @@ class Document:
             raise self.error(f"{where}.sparse lists {sparse.count} of {len(values)} values")
         kind = self._dtype(sparse.indices.componentType, where)
         listed = self._values(where, sparse.indices.bufferView, sparse.indices.byteOffset, sparse.count, 1, kind)
-        places = listed[:, 0]
-        if kind == "<f4" or kind.endswith(("i1", "i2")) or (len(places) and int(places.max()) >= len(values)):
+        positions = listed[:, 0]
+        if kind == "<f4" or kind.endswith(("i1", "i2")) or (len(positions) and int(positions.max()) >= len(values)):
             raise self.error(f"{where}.sparse.indices must be whole numbers below {len(values)}")
         size = values.shape[1]
         raw = self._values(where, sparse.values.bufferView, sparse.values.byteOffset, sparse.count, size, dtype)
-        values[places.astype(np.int64)] = _normalised(raw, dtype, normalized)
+        values[positions.astype(np.int64)] = _normalised(raw, dtype, normalized)
 
     def _dtype(self, component: int, where: str) -> str:
         if component not in _COMPONENTS:
@@ -371,7 +371,7 @@ def _refuse_long_lists(path: Path, found: dict[str, Any]) -> None:
     sizes = {key: len(entries) for key, entries in lists.items() if isinstance(entries, list)}
     sizes["animations"] = len(clips) + sum(len(part) for part in parts if isinstance(part, list))
     for key, size in sizes.items():
-        most = MOST_POINTS if key == "nodes" else MOST_ENTRIES
+        most = MAX_POINTS if key == "nodes" else MAX_ENTRIES
         if size > most:
             raise SourceError(path, f"{key} has {size} entries, more than {most}")
 

@@ -53,13 +53,13 @@ def write_gltf(path: Path, motion: JointMotion) -> None:
     KinedexError
         The root is always missing, or a joint is missing in only some frames, which glTF cannot express.
     """
-    names, parents, places = _tree(motion)
-    turns = _root_turns(names, places, motion.orientation)
+    names, parents, positions = _tree(motion)
+    rotations = _root_rotations(names, positions, motion.orientation)
     document = _Document()
     root = names.index("root")
-    local = places - places[[max(parent, 0) for parent in parents]]
-    local = np.einsum("tba,jtb->jta", turns, local)
-    local[root] = places[root]
+    local = positions - positions[[max(parent, 0) for parent in parents]]
+    local = np.einsum("tba,jtb->jta", rotations, local)
+    local[root] = positions[root]
     nodes: list[dict[str, Any]] = [
         {"name": name, "translation": local[i, 0].astype(np.float32).tolist()} for i, name in enumerate(names)
     ]
@@ -76,14 +76,14 @@ def write_gltf(path: Path, motion: JointMotion) -> None:
         "skins": [document.skin(bound, root)],
         "meshes": [document.mesh(names, parents, bound)],
         "materials": [_material(name, colour) for name, colour in _COLOURS.items()],
-        "animations": [document.animation(motion, local, turns, root)],
+        "animations": [document.animation(motion, local, rotations, root)],
     }
     document.write(path, content)
 
 
 def _tree(motion: JointMotion) -> tuple[list[str], list[int], F64]:
     """Return the joints present, parents first, the index of each one's parent, and positions (joints, T, 3)."""
-    seen: npt.NDArray[np.bool_] = np.all(np.isfinite(motion.places), axis=2)
+    seen: npt.NDArray[np.bool_] = np.all(np.isfinite(motion.positions), axis=2)
     known = {name: i for i, name in enumerate(motion.joints) if seen[:, i].any()}
     if "root" not in known:
         raise KinedexError(f"'{motion.name}' has no root in any frame; a glTF needs it (csv, trc and c3d do not)")
@@ -102,17 +102,17 @@ def _tree(motion: JointMotion) -> tuple[list[str], list[int], F64]:
         while above is not None and above not in known:
             above = JOINT_PARENTS[above]
         parents.append(-1 if above is None else names.index(above))
-    places = motion.places[:, [known[name] for name in names]].astype(np.float64).transpose(1, 0, 2)
-    return names, parents, places
+    positions = motion.positions[:, [known[name] for name in names]].astype(np.float64).transpose(1, 0, 2)
+    return names, parents, positions
 
 
-def _root_turns(names: Sequence[str], places: F64, orientation: npt.NDArray[np.float32] | None) -> F64:
+def _root_rotations(names: Sequence[str], positions: F64, orientation: npt.NDArray[np.float32] | None) -> F64:
     """Return the root's rotations (T, 3, 3): from `orientation` if finite, else from hips and spine, else identity."""
     if orientation is not None and np.isfinite(orientation).all():
         return rotations(orientation.astype(np.float64))
-    of = dict(zip(names, places, strict=True))
+    of = dict(zip(names, positions, strict=True))
     spine = next((name for name in _SPINE if name in of), None)
-    frames = places.shape[1]
+    frames = positions.shape[1]
     if spine is not None and {"lhip", "rhip"} <= of.keys():
         turns = frames_along((of["lhip"] - of["rhip"]).T, (of[spine] - of["root"]).T)
         if np.isfinite(turns).all():
@@ -122,11 +122,11 @@ def _root_turns(names: Sequence[str], places: F64, orientation: npt.NDArray[np.f
 
 def _rest(parents: Sequence[int], local: F64) -> F64:
     """Return rest positions (joints, 3) of the nodes, with an unrotated root."""
-    places = local.copy()
+    positions = local.copy()
     for i, parent in enumerate(parents):
         if parent >= 0:
-            places[i] += places[parent]
-    return places
+            positions[i] += positions[parent]
+    return positions
 
 
 def _material(name: str, colour: tuple[float, float, float]) -> dict[str, Any]:
@@ -197,14 +197,14 @@ class _Document:
                 primitives.append({"attributes": attributes, "indices": indices, "material": material})
         return {"name": "sticks", "primitives": primitives}
 
-    def animation(self, motion: JointMotion, local: F64, turns: F64, root: int) -> dict[str, Any]:
+    def animation(self, motion: JointMotion, local: F64, rotations: F64, root: int) -> dict[str, Any]:
         """Return a clip with a key for each frame: positions (joints, T, 3) of all nodes, and rotations of the root."""
         seconds = (np.arange(local.shape[1]) / motion.rate_hz).astype(np.float32)
         times = self.accessor(seconds.reshape(-1, 1), "SCALAR", limits=True)
         samplers: list[dict[str, Any]] = []
         channels: list[dict[str, Any]] = []
         tracks = [(i, "translation", track.astype(np.float32), "VEC3") for i, track in enumerate(local)]
-        wxyz = quaternions(np.ascontiguousarray(turns.reshape(-1, 9).T)).T
+        wxyz = quaternions(np.ascontiguousarray(rotations.reshape(-1, 9).T)).T
         tracks.append((root, "rotation", wxyz[:, [1, 2, 3, 0]].astype(np.float32), "VEC4"))
         for node, path, values, kind in tracks:
             channels.append({"sampler": len(samplers), "target": {"node": node, "path": path}})

@@ -20,7 +20,7 @@ class JointMotion:
         Name of the take or of the clip, for the headers of files.
     joints : tuple of str
         Names of the joints, at most the 24 named ones.
-    places : float32 array (T, joints, 3)
+    positions : float32 array (T, joints, 3)
         Positions in metres; NaN where a joint is missing.
     rate_hz : float
         Frames per second.
@@ -32,7 +32,7 @@ class JointMotion:
 
     name: str
     joints: tuple[str, ...]
-    places: npt.NDArray[np.float32]
+    positions: npt.NDArray[np.float32]
     rate_hz: float
     words: npt.NDArray[np.uint64] | None = None
     orientation: npt.NDArray[np.float32] | None = None
@@ -56,10 +56,10 @@ def seen_markers(motion: JointMotion) -> tuple[tuple[str, ...], npt.NDArray[np.f
     KinedexError
         The motion has no frames, or all joints are missing.
     """
-    places = motion.places.astype(np.float32)
-    seen = np.isfinite(places).all(axis=2)
+    positions = motion.positions.astype(np.float32)
+    seen = np.isfinite(positions).all(axis=2)
     shown = np.flatnonzero(seen.any(axis=0))
     if not len(shown):
-        raise KinedexError(f"'{motion.name}' has no joint that is seen in any of its {len(places)} frames")
-    places[~seen] = np.nan
-    return tuple(motion.joints[i] for i in shown), places[:, shown]
+        raise KinedexError(f"'{motion.name}' has no joint that is seen in any of its {len(positions)} frames")
+    positions[~seen] = np.nan
+    return tuple(motion.joints[i] for i in shown), positions[:, shown]

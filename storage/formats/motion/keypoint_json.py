@@ -19,7 +19,7 @@ from kinedex.ops.errors import SourceError
 from kinedex.storage.formats.motion.points import Points, PointsReader
 from kinedex.storage.formats.motion.reader import (
     FASTEST_HZ,
-    MOST_POINTS,
+    MAX_POINTS,
     SLOWEST_HZ,
     Extent,
     MotionFile,
@@ -136,15 +136,15 @@ def _frame(path: Path, found: Keypoints, number: int, frame: Any) -> None:
         times = [scale * frame[key] for key, scale in TIMES.items() if isinstance(frame.get(key), float)]
         found.times += times[:1]
     read = [(_id(person), _places(path, found, number, person)) for person in persons]
-    there = [(called, places) for called, places in read if places is not None]
+    there = [(called, positions) for called, positions in read if positions is not None]
     ids = {called for called, _ in there}
     if len(there) > 1 and (None in ids or len(ids) < len(there)):
         raise SourceError(
             path, f"frame {number} has {len(there)} persons without an id each, so that nobody can be followed: write "
             "one person a file, or a `track_id` for each",
         )  # fmt: skip
-    for called, places in there:
-        found.persons.setdefault(called or "", {})[number] = places
+    for called, positions in there:
+        found.persons.setdefault(called or "", {})[number] = positions
 
 
 def _id(person: Any) -> str | None:
@@ -184,8 +184,8 @@ def _places(path: Path, found: Keypoints, number: int, person: Any) -> F64 | Non
     unseen = (rows[:, :3] == 0).all(axis=1)
     if rows.shape[1] == 4:
         unseen |= rows[:, 3] <= 0
-    places: F64 = np.where(unseen[:, None], np.nan, rows[:, :3])
-    return places
+    positions: F64 = np.where(unseen[:, None], np.nan, rows[:, :3])
+    return positions
 
 
 def _names_of(count: int) -> tuple[str, ...]:
@@ -201,11 +201,7 @@ def _name(path: Path, found: Keypoints, number: int, names: tuple[str, ...], cou
         raise SourceError(
             path, f"frame {number} has {count} points without names; of {known} they would be known: add a list `names`"
         )
-    if (
-        len(names) > MOST_POINTS
-        or (found.names and found.names != names)
-        or (count is not None and count != len(names))
-    ):
+    if len(names) > MAX_POINTS or (found.names and found.names != names) or (count is not None and count != len(names)):
         raise SourceError(path, f"frame {number} has other points than the frames before it, or than there are names")
     found.names = names
 
@@ -233,7 +229,7 @@ _NAMED = [key for key in (*WORLD, *POINTS_3D, *POINTS_2D, *NAMES) if "_" in key 
 _KEYS = re.compile(rf'"({"|".join(_NAMED)})"\s*:')
 _KINDS = re.compile(r'"(people|instance_info)"\s*:\s*\[')
 _NUMBERED = re.compile(r"(?P<before>.*?)(?P<number>\d+)(?P<after>_keypoints)?$")
-_MOST_FILES = 200_000
+_MAX_FILES = 200_000
 _PER_BYTE = 12  # bytes of memory per byte of JSON, whose numbers become objects
 
 
@@ -363,7 +359,7 @@ def _sequences(folder: Path, _stamp: int) -> dict[tuple[str, str], tuple[Path, .
     for path in folder.iterdir():
         if path.suffix.lower() == ".json" and (parts := _NUMBERED.fullmatch(path.stem)):
             found.setdefault((parts["before"], parts["after"] or ""), []).append(path)
-    return {key: tuple(sorted(paths, key=_number)[:_MOST_FILES]) for key, paths in found.items()}
+    return {key: tuple(sorted(paths, key=_number)[:_MAX_FILES]) for key, paths in found.items()}
 
 
 def _number(path: Path) -> int:

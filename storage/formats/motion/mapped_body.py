@@ -12,7 +12,7 @@ import numpy as np
 import numpy.typing as npt
 
 from kinedex.catalog.configs import shipped_configs
-from kinedex.catalog.skeletons.evidence import SAMPLED_FRAMES
+from kinedex.catalog.skeletons.body_evidence import SAMPLED_FRAMES
 from kinedex.catalog.skeletons.recognition.recognised_tree import judged_up
 from kinedex.catalog.skeletons.skeleton_fit import Fit, axes_of_up
 from kinedex.catalog.skeletons.units import contradicted_unit, guess_unit
@@ -120,7 +120,7 @@ def recognition_evidence(fit: Fit) -> tuple[str, ...]:
     return (*fit.reasons, built) if named else fit.reasons
 
 
-class Motion(Protocol):
+class ParsedMotion(Protocol):
     """A motion file that is parsed block by block: `path`, the number of `frames`, and `blocks` of channels (T, C)."""
 
     path: Path
@@ -132,7 +132,7 @@ class Motion(Protocol):
 
 
 def posed(
-    motion: Motion, nodes: tuple[kinematics.Node, ...], oriented: int, fit: Fit, joints: tuple[str, ...]
+    motion: ParsedMotion, nodes: tuple[kinematics.Node, ...], oriented: int, fit: Fit, joints: tuple[str, ...]
 ) -> tuple[F64, F64]:
     """Compute joints and orientation in blocks of frames, so that channels and nodes never exist for all frames.
 

@@ -11,7 +11,7 @@ from kinedex.ops.errors import SourceError
 from kinedex.storage.formats.csv_tables import csv_cells
 from kinedex.storage.formats.motion.points import Points
 from kinedex.storage.formats.motion.position_tables import PointTable, TableReader, first_lines, parse_number
-from kinedex.storage.formats.motion.reader import FASTEST_HZ, MOST_POINTS, SLOWEST_HZ, MotionFile, ReadSettings
+from kinedex.storage.formats.motion.reader import FASTEST_HZ, MAX_POINTS, SLOWEST_HZ, MotionFile, ReadSettings
 from kinedex.storage.formats.source_files import beginning
 
 _HEADER_LINES = 16  # lines: the first one, some empty ones, and up to six rows that describe the columns
@@ -82,8 +82,8 @@ def _table(path: Path) -> _Table:
             path, f"has no positions of bones or labelled markers, only {', '.join(held[:6])}; export it with bones, "
             "or with labelled markers", line=last + 1,
         )  # fmt: skip
-    if len(points[used]) > MOST_POINTS:
-        raise SourceError(path, f"expected at most {MOST_POINTS} points, found {len(points[used])}", line=last + 1)
+    if len(points[used]) > MAX_POINTS:
+        raise SourceError(path, f"expected at most {MAX_POINTS} points, found {len(points[used])}", line=last + 1)
     columns = tuple((at["X"], at["Y"], at["Z"]) for at in points[used].values())
     texts = tuple(i for i, axis in enumerate(axes) if axis.lower().startswith("timecode"))
     return _Table(path, tuple(points[used]), tuple(axes), columns, last + 1, texts=texts, kind=used, stated=stated)

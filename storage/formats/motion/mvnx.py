@@ -142,8 +142,8 @@ def _rest(subject: Subject, names: list[str], parents: list[int], tips: list[str
         if shared is not None:
             rest[i] = rest[parents[i]] + np.array(subject.points[above][shared])
         else:  # no points: use the distances of the first frame, which give sizes but no directions
-            places = subject.numbers("position")[0]
-            ends = places[subject.segments.index(name)] - places[subject.segments.index(above)]
+            positions = subject.numbers("position")[0]
+            ends = positions[subject.segments.index(name)] - positions[subject.segments.index(above)]
             rest[i] = rest[parents[i]] + ends
     ends_of_tips = [rest[names.index(name)] + np.array(subject.points[name][TIPS[name]]) for name in tips]
     placed: F64 = np.concatenate([rest, np.array(ends_of_tips).reshape(-1, 3)]) @ _Y_UP.T
@@ -167,12 +167,12 @@ class _Segments:
         """
         turns = self.orientations[frames]
         all_places = self.positions[frames]
-        places = [all_places[:, self.used]]
+        positions = [all_places[:, self.used]]
         for name in self.tips:
             place = self.subject.segments.index(name)
             point = np.array(self.subject.points[name][TIPS[name]])
-            places.append((all_places[:, place] + rotations(turns[:, place]) @ point)[:, None])
-        found = np.concatenate(places, axis=1) @ _Y_UP.T
+            positions.append((all_places[:, place] + rotations(turns[:, place]) @ point)[:, None])
+        found = np.concatenate(positions, axis=1) @ _Y_UP.T
         ends = [*self.used, *(self.subject.segments.index(name) for name in self.tips)]
         turned = _Y_UP @ rotations(turns[:, [ends[node] for node in oriented]]) @ _Y_UP.T
         rows = turned.transpose(1, 2, 3, 0).reshape(len(oriented), 9, len(frames))

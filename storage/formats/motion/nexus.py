@@ -13,7 +13,7 @@ from kinedex.ops.errors import SourceError
 from kinedex.storage.formats.csv_tables import csv_cells
 from kinedex.storage.formats.motion.points import Points
 from kinedex.storage.formats.motion.position_tables import PointTable, TableReader, parse_number
-from kinedex.storage.formats.motion.reader import FASTEST_HZ, MOST_POINTS, SLOWEST_HZ, MotionFile, ReadSettings
+from kinedex.storage.formats.motion.reader import FASTEST_HZ, MAX_POINTS, SLOWEST_HZ, MotionFile, ReadSettings
 from kinedex.storage.formats.motion.text_blocks import after_last_line, blocks
 from kinedex.storage.formats.source_files import beginning, text_of
 
@@ -127,9 +127,9 @@ def _points(
         labels.append(names[start] + ("O" if own == _AXES[1] else ""))
         columns.append((at[own[0]], at[own[1]], at[own[2]]))
         units_m.add(_UNITS_M.get(unit))
-    if not 0 < len(labels) <= MOST_POINTS or len(units_m) > 1:
+    if not 0 < len(labels) <= MAX_POINTS or len(units_m) > 1:
         raise SourceError(
-            path, f"expected 1 to {MOST_POINTS} labelled points in mm, cm or m, and one unit for all, found "
+            path, f"expected 1 to {MAX_POINTS} labelled points in mm, cm or m, and one unit for all, found "
             f"{len(labels)} points in {len(units_m)} units", line=line + 2,
         )  # fmt: skip
     return tuple(labels), tuple(columns), units_m.pop()

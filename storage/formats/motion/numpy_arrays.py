@@ -25,7 +25,7 @@ import numpy.typing as npt
 from kinedex.ops.errors import SourceError
 from kinedex.storage.formats.source_files import file_size, source_errors
 
-MOST_BYTES = 2 << 30
+MAX_BYTES = 2 << 30
 """The largest memory of an array in bytes; compressed files may claim any size."""
 
 
@@ -118,8 +118,8 @@ def _array(path: Path, file: IO[bytes], what: str, size: int) -> npt.NDArray[Any
             f"{what} must hold {' × '.join(map(str, shape))} values of {dtype} by its header, and holds "
             f"{size - file.tell()} bytes; is it cut off?",
         )
-    if numbers * 8 > MOST_BYTES:
-        most = f"{MOST_BYTES / 1e9:.1f} GB"
+    if numbers * 8 > MAX_BYTES:
+        most = f"{MAX_BYTES / 1e9:.1f} GB"
         raise SourceError(
             path, f"{what} takes {numbers * 8 / 1e9:.1f} GB in memory; write shorter takes, of {most} at most"
         )
@@ -133,13 +133,13 @@ def _array(path: Path, file: IO[bytes], what: str, size: int) -> npt.NDArray[Any
     return array
 
 
-MOST_PICKLE_BYTES = 512 << 20
+MAX_PICKLE_BYTES = 512 << 20
 """The largest size of a pickle in bytes."""
 
-MOST_TUPLES = 20_000
+MAX_TUPLES = 20_000
 """The largest number of tuples; more could be nested so deeply that Python fails."""
 
-MOST_LISTS = 200_000
+MAX_LISTS = 200_000
 """The largest number of lists and dicts; each takes far more memory than the byte that creates it."""
 
 _WAY_OUT = (
@@ -289,8 +289,8 @@ def load_pickle(path: Path) -> dict[str, Any]:
     SourceError
         The file is compressed, damaged, or holds anything but numbers; the error states the remedy.
     """
-    if file_size(path) > MOST_PICKLE_BYTES:
-        raise SourceError(path, f"has more than {MOST_PICKLE_BYTES >> 20} MB, which no pickle of a take has")
+    if file_size(path) > MAX_PICKLE_BYTES:
+        raise SourceError(path, f"has more than {MAX_PICKLE_BYTES >> 20} MB, which no pickle of a take has")
     with source_errors(path):
         data = path.read_bytes()
     try:
@@ -319,8 +319,8 @@ def _check(data: bytes) -> None:
             raise _Refused("was written by joblib, whose arrays lie beside the pickle")
         tuples += opcode.name.startswith("TUPLE")
         others += opcode.name in ("EMPTY_LIST", "EMPTY_DICT", "LIST", "DICT")
-        if tuples > MOST_TUPLES or others > MOST_LISTS:
-            raise _Refused(f"has more than {MOST_TUPLES} tuples, or more than {MOST_LISTS} lists")
+        if tuples > MAX_TUPLES or others > MAX_LISTS:
+            raise _Refused(f"has more than {MAX_TUPLES} tuples, or more than {MAX_LISTS} lists")
 
 
 def _plain(found: Mapping[Any, Any], depth: int) -> dict[str, Any]:

@@ -25,7 +25,7 @@ from kinedex.storage.formats.source_files import beginning
 F64 = npt.NDArray[np.float64]
 
 _HEADER_LINES = 200
-_AT_ONCE = 4096  # frames whose bodies are computed at once
+_BLOCK_FRAMES = 4096  # frames whose bodies are computed at once
 _END = "endheader"
 _FORCES = re.compile(r"(force|torque|moment|grf|emg|activation|fiber_length)|_?[vpm][xyz]$", re.IGNORECASE)
 _VALUE = re.compile(r"(?:.*/)?([^/]+)/value$")
@@ -78,7 +78,7 @@ class OpenSimReader(PointsReader):
         """Return the number of rows, the number of points of a large model, and the memory in bytes for reading."""
         layout = _layout(file.path)
         table = Section(file.path, layout.separator, layout.line)
-        return table.rows, 200, table.bytes + 40 * table.rows * len(layout.columns) + 1600 * _AT_ONCE * 100
+        return table.rows, 200, table.bytes + 40 * table.rows * len(layout.columns) + 1600 * _BLOCK_FRAMES * 100
 
     def points(self, file: MotionFile, settings: ReadSettings) -> Points:
         """Compute the centres of the joints, and the markers of the model, from the coordinates.
@@ -209,8 +209,8 @@ def _posed(path: Path, model: Model, values: F64) -> tuple[tuple[str, ...], F64]
     centres = {_name(model, i): (i, joint.in_child.origin) for i, joint in enumerate(model.joints) if joint.parent >= 0}
     stations = centres | {name: at for name, at in model.markers.items() if name not in centres}
     positions = np.empty((len(stations), 3, values.shape[1]))
-    for start in range(0, values.shape[1], _AT_ONCE):
-        part = slice(start, start + _AT_ONCE)
+    for start in range(0, values.shape[1], _BLOCK_FRAMES):
+        part = slice(start, start + _BLOCK_FRAMES)
         with np.errstate(over="ignore", invalid="ignore"):  # implausible numbers are refused later, by their positions
             rotations, origins = multibody.forward(model.joints, values[:, part])
             for station, (body, place) in enumerate(stations.values()):

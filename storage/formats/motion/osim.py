@@ -16,11 +16,11 @@ import numpy.typing as npt
 from kinedex.ops.body import multibody
 from kinedex.ops.body.multibody import Function, Joint, Placed
 from kinedex.ops.errors import ParameterError, SourceError
-from kinedex.storage.formats.motion.reader import MOST_POINTS
+from kinedex.storage.formats.motion.reader import MAX_POINTS
 from kinedex.storage.formats.motion.text_blocks import BLOCK, LONGEST
 from kinedex.storage.formats.source_files import file_size, source_errors
 
-MOST_ELEMENTS, DEEPEST = 500_000, 100
+MAX_ELEMENTS, DEEPEST = 500_000, 100
 """The largest number of elements, and the largest depth of nested elements."""
 
 
@@ -48,8 +48,8 @@ class _Tree:
 
     def start(self, name: str, attributes: dict[str, str]) -> None:
         self._count += 1
-        if self._count > MOST_ELEMENTS or len(self._open) + self._hidden > DEEPEST:
-            raise self._error(f"has more than {MOST_ELEMENTS} elements, or more than {DEEPEST} inside each other")
+        if self._count > MAX_ELEMENTS or len(self._open) + self._hidden > DEEPEST:
+            raise self._error(f"has more than {MAX_ELEMENTS} elements, or more than {DEEPEST} inside each other")
         if self._hidden or name in self._skipped:
             self._hidden += 1
             return
@@ -120,7 +120,7 @@ LARGEST = 1e6
 NEAREST = 1e-9
 """The smallest distance between knots of a spline, and the smallest length of an axis."""
 
-MOST_KNOTS = 1000
+MAX_KNOTS = 1000
 """The largest number of knots of a spline."""
 
 _SKIPPED = (
@@ -235,11 +235,11 @@ class _Parser:
         if kind in ("SimmSpline", "NaturalCubicSpline"):
             x, y = (self.numbers(element.find(axis), f"{what} {axis}", None) for axis in "xy")
             try:
-                if len(x) <= MOST_KNOTS and (np.diff(x) > NEAREST).all():
+                if len(x) <= MAX_KNOTS and (np.diff(x) > NEAREST).all():
                     return multibody.spline(x, y)
             except ParameterError:
                 pass
-            raise self.error(what, f"expected a {kind} of 2 to {MOST_KNOTS} knots that ascend, got {len(x)}")
+            raise self.error(what, f"expected a {kind} of 2 to {MAX_KNOTS} knots that ascend, got {len(x)}")
         raise self.error(
             what, f"has a function of type {kind}, which is not read; Constant, LinearFunction, PolynomialFunction, "
             "MultiplierFunction and SimmSpline are"
@@ -268,7 +268,7 @@ def read_osim(path: Path) -> Model:
     parser = _Parser(path)
     found: dict[str, tuple[str, str, Joint]] = {}
     for name, parent, child, element, frames in _joint_elements(model):
-        if child in found or child == "ground" or len(found) >= MOST_POINTS:
+        if child in found or child == "ground" or len(found) >= MAX_POINTS:
             raise parser.error(f"joint '{name}'", f"body '{child}' has a joint already, and none may have two")
         found[child] = (name, parent, _joint(parser, name, element, frames))
     if not found:
@@ -348,8 +348,8 @@ def _joint(parser: _Parser, name: str, element: Element, frames: Frames) -> Join
         raise parser.error(what, "is reversed, which is not read; open the model in OpenSim 4 and save it again")
     elements = [*element.iterfind("coordinates/Coordinate"), *element.iterfind("CoordinateSet/objects/Coordinate")]
     names = [coordinate.get("name", "") for coordinate in elements]
-    turns: tuple[multibody.Motion, ...] = ()
-    shifts: tuple[multibody.Motion, ...] = ()
+    turns: tuple[multibody.AxisMotion, ...] = ()
+    shifts: tuple[multibody.AxisMotion, ...] = ()
     if element.tag == "CustomJoint":
         turning = {other for other in names if _turns(element, other)}
     elif element.tag in _TURNS:
@@ -370,7 +370,7 @@ def _joint(parser: _Parser, name: str, element: Element, frames: Frames) -> Join
             raise parser.error(what, f"expected {len(axes)} coordinates of a {element.tag}, got {len(names)}")
         index = list(parser.coordinates)
         motions = [
-            multibody.Motion(np.eye(3)["xyz".index(axis)], (index.index(other),), multibody.Linear((1.0,), 0.0))
+            multibody.AxisMotion(np.eye(3)["xyz".index(axis)], (index.index(other),), multibody.Linear((1.0,), 0.0))
             for axis, other in zip(axes, names, strict=True)
         ]
         count = len(_TURNS[element.tag])
@@ -400,10 +400,10 @@ def _turns(joint: Element, coordinate: str) -> bool:
 
 def _spatial(
     parser: _Parser, what: str, joint: Element
-) -> tuple[tuple[multibody.Motion, ...], tuple[multibody.Motion, ...]]:
+) -> tuple[tuple[multibody.AxisMotion, ...], tuple[multibody.AxisMotion, ...]]:
     """Return the rotations and translations of a custom joint."""
     index = list(parser.coordinates)
-    found: dict[bool, list[multibody.Motion]] = {True: [], False: []}
+    found: dict[bool, list[multibody.AxisMotion]] = {True: [], False: []}
     for nth, axis in enumerate(joint.findall("SpatialTransform/TransformAxis")[:6]):
         own = f"{what} {axis.get('name', '')}"
         names = _text(axis, "coordinates").split()
@@ -420,7 +420,7 @@ def _spatial(
         direction = parser.numbers(axis.find("axis"), f"{own} axis", 3)
         if not np.linalg.norm(direction) > NEAREST:
             raise parser.error(own, "has an axis without a direction")
-        found[nth < 3].append(multibody.Motion(direction, tuple(map(index.index, names)), function))
+        found[nth < 3].append(multibody.AxisMotion(direction, tuple(map(index.index, names)), function))
     return tuple(found[True]), tuple(found[False])
 
 
@@ -476,6 +476,6 @@ def _markers(parser: _Parser, model: Element, place: dict[str, int]) -> dict[str
     for element in model.iterfind("MarkerSet/objects/Marker"):
         name = element.get("name", "")
         body = _last(_text(element, "socket_parent_frame", "connector_parent_frame_connectee_name", "body"))
-        if name and place.get(body, -1) >= 0 and len(found) < MOST_POINTS:
+        if name and place.get(body, -1) >= 0 and len(found) < MAX_POINTS:
             found[name] = (place[body], parser.numbers(element.find("location"), f"marker '{name}'", 3))
     return found

@@ -15,10 +15,10 @@ from typing import ClassVar, NamedTuple, TypeVar
 import numpy as np
 import numpy.typing as npt
 
-from kinedex.catalog.skeletons.evidence import SAMPLED_FRAMES, Evidence
+from kinedex.catalog.skeletons.body_evidence import SAMPLED_FRAMES, Evidence
 from kinedex.catalog.skeletons.mappings import Format, Mappings
 from kinedex.catalog.skeletons.recognition.landmarks import load_landmarks
-from kinedex.catalog.skeletons.recognition.recognised_tree import joint_places
+from kinedex.catalog.skeletons.recognition.recognised_tree import joint_positions
 from kinedex.catalog.skeletons.skeleton_fit import Fit, axes_of_up
 from kinedex.ops.body import kinematics
 from kinedex.ops.body.resample import Gap, fill_gaps
@@ -39,7 +39,7 @@ from kinedex.storage.formats.motion.reader import (
 F64 = npt.NDArray[np.float64]
 Mask = npt.NDArray[np.bool_]
 
-_AT_ONCE = 16_384  # frames at once: some 10 MB of joints
+_BLOCK_FRAMES = 16_384  # frames at once: some 10 MB of joints
 _SPINE = ("chest", "neck", "belly", "head")  # the first known one gives the root's up direction
 
 
@@ -73,7 +73,7 @@ class Points:
     unit_m: float | None = None
     warnings: list[str] = field(default_factory=list)
 
-    def places(self, names: Sequence[str] = ()) -> dict[str, int]:
+    def indices(self, names: Sequence[str] = ()) -> dict[str, int]:
         """Return a dict from name to index of the points present in any frame; `names` replaces missing names."""
         seen = np.count_nonzero(np.isfinite(self.positions), axis=(1, 2)) > 0
         return {name: i for i, name in enumerate(self.names or names) if seen[i]}
@@ -82,7 +82,7 @@ class Points:
 def points_bytes(frames: int, points: int, joints: int) -> int:
     """Estimate the memory in bytes of points, of the body made of them, and of intermediate arrays."""
     masks, gaps = 4 * 3 * points * frames, 100 * frames
-    return 24 * points * frames + masks + gaps + body_bytes(frames, joints) + min(frames, _AT_ONCE) * 96 * joints
+    return 24 * points * frames + masks + gaps + body_bytes(frames, joints) + min(frames, _BLOCK_FRAMES) * 96 * joints
 
 
 def body_of_points(
@@ -182,8 +182,8 @@ def _placed(points: F64, fit: Fit, joints: tuple[str, ...]) -> F64:
     """Return the named joints (J, 3, T), built in blocks of frames."""
     frames = points.shape[2]
     positions = np.empty((len(joints), 3, frames))
-    for start in range(0, frames, _AT_ONCE):
-        stop = start + _AT_ONCE
+    for start in range(0, frames, _BLOCK_FRAMES):
+        stop = start + _BLOCK_FRAMES
         positions[:, :, start:stop] = fit.apply(points[:, :, start:stop], joints)
     return positions
 
@@ -262,13 +262,13 @@ def root_orientation(positions: F64, joints: tuple[str, ...], valid: Mask, warni
     return orientation
 
 
-LEAST_LANDMARKS = 8
+MIN_LANDMARKS = 8
 """The smallest number of known labels of a subject that counts as a person."""
 
 SURE_UP = 0.75
 """The confidence from which a body is rotated upright, or the file's up axis is doubted."""
 
-LEAST_POINTS = 10
+MIN_POINTS = 10
 """The smallest number of points of a person; a subject with fewer is an object, such as a box or a racket."""
 
 
@@ -346,7 +346,7 @@ class PointsReader(Reader):
         """
         points = self.named(self.points(file, settings), mappings)
         evidence = evidence_of(points, self.up)
-        fit = mappings.detect(file.path, "positions", points.places(), evidence)
+        fit = mappings.detect(file.path, "positions", points.indices(), evidence)
         warnings = [*points.warnings, *recognition_warnings(fit)]
         if "positions" not in mappings.forced:
             fit = upright(fit, evidence, warnings)
@@ -363,7 +363,7 @@ def evidence_of(points: Points, up: str | None = None) -> Evidence:
     up : str, optional
         The axis that the file states as vertical.
     """
-    seen = points.places()
+    seen = points.indices()
     frames = points.positions.shape[2]
     sample = np.unique(np.linspace(0, frames - 1, min(frames, SAMPLED_FRAMES)).astype(int))
     return Evidence(tuple(seen), points.positions[list(seen.values())][:, :, sample], up=up, unit_m=points.unit_m)
@@ -383,7 +383,7 @@ def upright(fit: Fit, evidence: Evidence, warnings: list[str]) -> Fit:
     """
     if fit.mapping.unit_m is not None and evidence.up is None:
         return fit  # the mapping of a single archive states its axes
-    judged = up_axis(joint_places(fit, evidence.places, None)[0])
+    judged = up_axis(joint_positions(fit, evidence.positions, None)[0])
     index = int(np.argmax(np.abs(fit.mapping.axes[1])))
     taken = ("-" if fit.mapping.axes[1, index] < 0 else "") + "xyz"[index]
     if not judged.axis and evidence.up is None:
@@ -403,9 +403,7 @@ def upright(fit: Fit, evidence: Evidence, warnings: list[str]) -> Fit:
 def bodies_of(labels: Sequence[str]) -> list[str]:
     """Return the subjects of labels such as `Ann:LKNE` that have the landmarks of a body."""
     landmarks, of = load_landmarks(), subjects(labels)
-    many = [
-        name for name in persons_of(labels) if landmarks.read([labels[i] for i in of[name]]).known >= LEAST_LANDMARKS
-    ]
+    many = [name for name in persons_of(labels) if landmarks.read([labels[i] for i in of[name]]).known >= MIN_LANDMARKS]
     return many if len(many) > 1 else []
 
 
@@ -445,7 +443,7 @@ def subjects(labels: Sequence[str]) -> dict[str, list[int]]:
 
 def persons_of(labels: Sequence[str]) -> tuple[str, ...]:
     """Return the subjects with enough points for a person if there are several; else nothing."""
-    found = [name for name, places in subjects(labels).items() if name and len(places) >= LEAST_POINTS]
+    found = [name for name, positions in subjects(labels).items() if name and len(positions) >= MIN_POINTS]
     return tuple(found) if len(found) > 1 else ()
 
 
@@ -481,18 +479,18 @@ def labels_of_person(
     bodies = bodies_of(labels)
     if bodies and person not in of:
         raise SourceError(path, f"holds {len(bodies)} persons, {', '.join(bodies)}; ingest makes a take of each")
-    whole = [name for name, places in of.items() if name and len(places) >= LEAST_POINTS]
+    whole = [name for name, positions in of.items() if name and len(positions) >= MIN_POINTS]
     if len(whole) > 1:
         known = load_landmarks()
-        whole = [name for name in whole if known.read([labels[i] for i in of[name]]).known >= LEAST_LANDMARKS] or whole
+        whole = [name for name in whole if known.read([labels[i] for i in of[name]]).known >= MIN_LANDMARKS] or whole
     chosen = person if person in of else whole[0] if len(whole) == 1 else None
-    places = list(range(len(labels))) if chosen is None else of[chosen]
-    short = [labels[i] if chosen is None else labels[i].rpartition(":")[2] for i in places]
+    positions = list(range(len(labels))) if chosen is None else of[chosen]
+    short = [labels[i] if chosen is None else labels[i].rpartition(":")[2] for i in positions]
     others = [name for name in of if name and name != chosen and name not in bodies]
     if chosen is not None and others:
         warnings.append(f"points of {', '.join(others[:6])} are not used: they are none of a person's")
     twice = sorted(name for name, count in Counter(short).items() if count > 1)
     if twice:
         warnings.append(f"{', '.join(twice[:6])} stand for several points each, and are not used")
-    kept = [(i, name) for i, name in zip(places, short, strict=True) if name not in twice]
+    kept = [(i, name) for i, name in zip(positions, short, strict=True) if name not in twice]
     return [i for i, _ in kept], tuple(name for _, name in kept)

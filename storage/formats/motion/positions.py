@@ -29,7 +29,7 @@ from kinedex.storage.formats.motion.points import (
 from kinedex.storage.formats.motion.position_tables import Lines, Table, whole_points
 from kinedex.storage.formats.motion.reader import (
     FASTEST_HZ,
-    MOST_POINTS,
+    MAX_POINTS,
     SLOWEST_HZ,
     Extent,
     MotionFile,
@@ -45,12 +45,12 @@ RATES = ("rate_hz", "fps", "mocap_framerate", "mocap_frame_rate")
 """Keys of an NPZ file: of the positions (frames, joints, 3), the joints' names, and the frames per second."""
 
 _READ = (*ARRAYS, *NAMES, *RATES)
-_AT_ONCE = 16_384  # frames converted at once
+_BLOCK_FRAMES = 16_384  # frames converted at once
 _TIMES = ("time", "times", "time (s)", "time(s)", "time_s", "time (seconds)")
 _SHOWN = 12  # most columns named in a warning
 _UNITS_M = {"m": 1.0, "cm": 0.01, "mm": 0.001, "in": 0.0254}
 _AXIS = re.compile(r"(.*?\S)(?:\s*+[_.:]\s*+|\s++)([xyzXYZ])")
-_LEAST_POINTS = 5  # points in columns such as `LKNE.x` or `LKNE X`; three such columns are a sensor's
+_MIN_POINTS = 5  # points in columns such as `LKNE.x` or `LKNE X`; three such columns are a sensor's
 _LONGEST_HEAD = 1 << 20  # bytes of a TRC header
 _HEAD_LINES = 20
 _ROUNDED = 3e-4  # relative error of a rate that follows from times of four digits; 59.94 Hz is not 60
@@ -90,7 +90,7 @@ def is_positions_csv(path: Path) -> bool:
     for found in filter(None, map(_AXIS.fullmatch, cells)):
         axes.setdefault(found[1], set()).add(found[2].lower())
     whole = [name for name, found in axes.items() if len(found) == 3]
-    return len(whole) >= _LEAST_POINTS or any(f"{name}_{axis}" in cells for name in whole for axis in "xX")
+    return len(whole) >= _MIN_POINTS or any(f"{name}_{axis}" in cells for name in whole for axis in "xX")
 
 
 def positions_extent(path: Path) -> tuple[int, int, int]:
@@ -113,7 +113,7 @@ def positions_extent(path: Path) -> tuple[int, int, int]:
     shape = shapes[key][0] if key is not None else ()
     if len(shape) != 3:
         return 0, 0, size
-    return shape[0], shape[1], size + 72 * shape[1] * min(shape[0], _AT_ONCE)
+    return shape[0], shape[1], size + 72 * shape[1] * min(shape[0], _BLOCK_FRAMES)
 
 
 def parse_csv(path: Path) -> Points:
@@ -320,8 +320,8 @@ def parse_arrays(path: Path) -> Points:
             raise SourceError(path, f"the rate must be one number, {SLOWEST_HZ:g} to {FASTEST_HZ:g} Hz, got {rate}")
         rate_hz = float(rate.ravel()[0])
     positions = np.empty((*array.shape[1:], len(array)))
-    for start in range(0, len(array), _AT_ONCE):
-        positions[:, :, start : start + _AT_ONCE] = np.moveaxis(array[start : start + _AT_ONCE], 0, 2)
+    for start in range(0, len(array), _BLOCK_FRAMES):
+        positions[:, :, start : start + _BLOCK_FRAMES] = np.moveaxis(array[start : start + _BLOCK_FRAMES], 0, 2)
     if np.isinf(positions).any():
         raise SourceError(
             path, f"'{key}' has infinite numbers, the first in frame {np.nonzero(np.isinf(positions))[2].min()}"
@@ -378,8 +378,8 @@ def _clock(path: Path, times: F64, where: Lines) -> float | None:
 
 
 def _refuse_count(path: Path, count: int, what: str, line: int | None) -> None:
-    if not 0 < count <= MOST_POINTS:
-        raise SourceError(path, f"expected 1 to {MOST_POINTS} {what}, found {count}", line=line)
+    if not 0 < count <= MAX_POINTS:
+        raise SourceError(path, f"expected 1 to {MAX_POINTS} {what}, found {count}", line=line)
 
 
 class PositionsReader(PointsReader):

@@ -13,7 +13,7 @@ import numpy as np
 from kinedex.ops.errors import SourceError
 from kinedex.storage.formats.motion.points import Points
 from kinedex.storage.formats.motion.position_tables import PointTable, TableReader, first_lines, parse_number
-from kinedex.storage.formats.motion.reader import FASTEST_HZ, MOST_POINTS, SLOWEST_HZ, MotionFile, ReadSettings
+from kinedex.storage.formats.motion.reader import FASTEST_HZ, MAX_POINTS, SLOWEST_HZ, MotionFile, ReadSettings
 from kinedex.storage.formats.source_files import as_number, beginning
 
 _HEADER_LINES = 40
@@ -84,8 +84,8 @@ def _table(path: Path) -> _Table:
             line=last,
         )
     twice = next((name for name, count in Counter(labels).items() if count > 1), None)
-    if twice is not None or len(labels) > MOST_POINTS:
-        raise SourceError(path, f"expected at most {MOST_POINTS} different {_NAMES}, got '{twice or len(labels)}'")
+    if twice is not None or len(labels) > MAX_POINTS:
+        raise SourceError(path, f"expected at most {MAX_POINTS} different {_NAMES}, got '{twice or len(labels)}'")
     if last == len(rows):
         raise SourceError(path, "no frames: the file ends after its header", line=last)
     heads = rows[last][0] != _MISSING and as_number(rows[last][0] or "nan") is None

@@ -29,7 +29,7 @@ ACCLAIM_HZ = 120.0
 FASTEST_HZ, SLOWEST_HZ = 10_000.0, 1.0
 """The range of accepted rates; others are not of motion capture, and would need huge numbers of frames."""
 
-MOST_POINTS = 10_000
+MAX_POINTS = 10_000
 """The largest number of joints or markers of a body."""
 
 SHORT_GAP_S = 0.1

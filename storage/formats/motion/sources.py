@@ -70,7 +70,7 @@ UNREAD = {
 SIDECARS = (".yaml", ".yml")
 """Endings of files that describe a motion file of the same name in the same folder."""
 
-_MOST_ENDINGS = 6
+_MAX_ENDINGS = 6
 
 
 def readable(text: str) -> str:
@@ -119,7 +119,7 @@ class SourceFile:
 
 
 @dataclass(frozen=True)
-class Refused:
+class UnreadableFile:
     """A file or folder of an archive that cannot be read: its path relative to the source root, and the reason."""
 
     path: str
@@ -127,7 +127,7 @@ class Refused:
 
 
 @dataclass(frozen=True)
-class PassedOver:
+class SkippedFile:
     """A file of an archive that is not motion: its path relative to the source root, and its kind in the plural."""
 
     path: str
@@ -162,8 +162,8 @@ class Scan:
     motions: tuple[SourceFile, ...]
     skeletons: tuple[SourceFile, ...]
     unread: tuple[SourceFile, ...] = ()
-    refused: tuple[Refused, ...] = ()
-    passed_over: tuple[PassedOver, ...] = ()
+    refused: tuple[UnreadableFile, ...] = ()
+    passed_over: tuple[SkippedFile, ...] = ()
     sidecars: tuple[SourceFile, ...] = ()
 
     @property
@@ -209,8 +209,8 @@ class Scan:
             kinds.setdefault(file.kind, Counter())[file.ending or "without an ending"] += 1
         lines = []
         for kind, endings in sorted(kinds.items(), key=lambda item: (-item[1].total(), item[0])):
-            few = ", ".join(f"{readable(ending)} {count:,}" for ending, count in endings.most_common(_MOST_ENDINGS))
-            more = len(endings) - _MOST_ENDINGS
+            few = ", ".join(f"{readable(ending)} {count:,}" for ending, count in endings.most_common(_MAX_ENDINGS))
+            more = len(endings) - _MAX_ENDINGS
             lines.append(f"passed over as {kind}: {endings.total():,} ({few}{f' and {more} more' * (more > 0)})")
         return lines
 
@@ -240,8 +240,8 @@ def scan(root: str | Path) -> Scan:
     motions: list[SourceFile] = []
     skeletons: list[SourceFile] = []
     unread: list[SourceFile] = []
-    refused: list[Refused] = []
-    passed: list[PassedOver] = []
+    refused: list[UnreadableFile] = []
+    passed: list[SkippedFile] = []
     sidecars: list[SourceFile] = []
     kinds = dict.fromkeys(UNREAD, unread) | {".asf": skeletons} | dict.fromkeys(motion_endings(), motions)
     entries = [(folder, name, os.path.splitext(name)) for folder, name in _entries(root, refused)]
@@ -254,25 +254,25 @@ def scan(root: str | Path) -> Scan:
         path = readable(relative)
         kind = sidecars if ending.lower() in SIDECARS and (folder, stem) in beside else kinds.get(ending.lower())
         if kind is None or is_of_system(name):
-            passed.append(PassedOver(path, kind_of(name)))
+            passed.append(SkippedFile(path, kind_of(name)))
             continue
         try:
             file = _source_file(root, place, relative, path)
             if kind is not motions or is_motion_file(place):
                 kind.append(file)
             else:
-                passed.append(PassedOver(path, NO_MOTION))
+                passed.append(SkippedFile(path, NO_MOTION))
         except SourceError as fault:
-            refused.append(Refused(path, fault))
+            refused.append(UnreadableFile(path, fault))
     return Scan(tuple(motions), tuple(skeletons), tuple(unread), tuple(refused), tuple(passed), tuple(sidecars))
 
 
-def _entries(root: Path, refused: list[Refused]) -> Iterator[tuple[str, str]]:
+def _entries(root: Path, refused: list[UnreadableFile]) -> Iterator[tuple[str, str]]:
     """Yield folder and name of every entry below the root that is not a folder; collect unreadable folders."""
 
     def refuse(path: str, message: str) -> None:
         shown = readable(Path(path).relative_to(root).as_posix())
-        refused.append(Refused(shown, SourceError(readable(path), message)))
+        refused.append(UnreadableFile(shown, SourceError(readable(path), message)))
 
     def unreadable(fault: OSError) -> None:
         refuse(os.fsdecode(fault.filename), f"the folder cannot be read: {fault.strerror}")

@@ -25,13 +25,13 @@ def write_csv(path: Path, motion: JointMotion) -> None:
     motion : JointMotion
         The motion; unknown positions are written as nan.
     """
-    frames = len(motion.places)
+    frames = len(motion.positions)
     columns = {
         "frame": pa.array(np.arange(frames, dtype=np.int32)),
         "time": pa.array(np.arange(frames) / motion.rate_hz),
     }
     for j, joint in enumerate(motion.joints):
-        columns |= {f"{joint}_{axis}": pa.array(motion.places[:, j, k]) for k, axis in enumerate("xyz")}
+        columns |= {f"{joint}_{axis}": pa.array(motion.positions[:, j, k]) for k, axis in enumerate("xyz")}
     pa_csv.write_csv(pa.table(columns), path)
 
 
@@ -47,12 +47,14 @@ def write_parquet(path: Path, motion: JointMotion) -> None:
     motion : JointMotion
         The motion.
     """
-    columns: dict[str, pa.Array] = {"frame": pa.array(np.arange(len(motion.places), dtype=np.int32))}
+    columns: dict[str, pa.Array] = {"frame": pa.array(np.arange(len(motion.positions), dtype=np.int32))}
     for j, joint in enumerate(motion.joints):
-        columns[joint] = pa.StructArray.from_arrays([pa.array(motion.places[:, j, k]) for k in range(3)], list("xyz"))
+        columns[joint] = pa.StructArray.from_arrays(
+            [pa.array(motion.positions[:, j, k]) for k in range(3)], list("xyz")
+        )
     if motion.orientation is not None:
-        turns = [pa.array(motion.orientation[:, k]) for k in range(4)]
-        columns["root_orientation"] = pa.StructArray.from_arrays(turns, list("wxyz"))
+        rotations = [pa.array(motion.orientation[:, k]) for k in range(4)]
+        columns["root_orientation"] = pa.StructArray.from_arrays(rotations, list("wxyz"))
     if motion.words is not None:
         columns["word"] = pa.array(motion.words, mask=motion.words == NO_WORD)
     metadata = {"kinedex.rate_hz": repr(float(motion.rate_hz)), "kinedex.unit": "m", "kinedex.up": "y"}
@@ -62,7 +64,7 @@ def write_parquet(path: Path, motion: JointMotion) -> None:
 _KEYS = (
     "DataRate", "CameraRate", "NumFrames", "NumMarkers", "Units", "OrigDataRate", "OrigDataStartFrame", "OrigNumFrames",
 )  # fmt: skip
-_AT_ONCE = 4096  # frames written at once
+_BLOCK_FRAMES = 4096  # frames written at once
 
 
 def write_trc(path: Path, motion: JointMotion) -> None:
@@ -84,9 +86,9 @@ def write_trc(path: Path, motion: JointMotion) -> None:
     KinedexError
         All joints are missing in all frames.
     """
-    joints, places = seen_markers(motion)
+    joints, positions = seen_markers(motion)
     rate = f"{motion.rate_hz:.10g}"
-    values = (rate, rate, str(len(places)), str(len(joints)), "m", rate, "1", str(len(places)))
+    values = (rate, rate, str(len(positions)), str(len(joints)), "m", rate, "1", str(len(positions)))
     axes = "".join(f"X{i}\tY{i}\tZ{i}\t" for i in range(1, len(joints) + 1))
     name = "".join(letter if letter.isprintable() else "_" for letter in motion.name)
     lines = [
@@ -99,9 +101,9 @@ def write_trc(path: Path, motion: JointMotion) -> None:
     ]
     with path.open("w", encoding="utf-8", newline="\n") as file:
         file.write("\n".join(lines) + "\n")
-        for start in range(0, len(places), _AT_ONCE):
+        for start in range(0, len(positions), _BLOCK_FRAMES):
             # the shortest texts that restore the numbers
-            texts = places[start : start + _AT_ONCE].reshape(-1, 3 * len(joints)).astype("U").tolist()
+            texts = positions[start : start + _BLOCK_FRAMES].reshape(-1, 3 * len(joints)).astype("U").tolist()
             for frame, row in enumerate(texts, start):
                 cells = "\t".join("" if cell == "nan" else cell for cell in row)
                 file.write(f"{frame + 1}\t{frame / motion.rate_hz:.6f}\t{cells}\t\n")
@@ -144,9 +146,9 @@ def write_npz(path: Path, motion: JointMotion) -> None:
         The motion; unknown positions are NaN.
     """
     arrays: dict[str, npt.NDArray[np.generic]] = {
-        "positions": motion.places,
+        "positions": motion.positions,
         "names": np.array(motion.joints),
-        "smpl24": smpl_places(motion),
+        "smpl24": smpl_positions(motion),
         "smpl24_names": np.array(SMPL_24),
         "rate_hz": np.array(float(motion.rate_hz)),
         "unit": np.array("m"),
@@ -160,16 +162,16 @@ def write_npz(path: Path, motion: JointMotion) -> None:
         np.savez(file, allow_pickle=False, **arrays)
 
 
-def smpl_places(motion: JointMotion) -> F32:
+def smpl_positions(motion: JointMotion) -> F32:
     """Return the positions of a motion in the order of SMPL's 24 joints, float32 (T, 24, 3), in metres.
 
     `spine3`, to which no named joint corresponds, is placed between chest and neck. Missing joints are NaN.
     """
     index = {joint: j for j, joint in enumerate(motion.joints)}
-    absent = np.full((len(motion.places), 3), np.nan, np.float32)
+    absent = np.full((len(motion.positions), 3), np.nan, np.float32)
 
     def track(named: str) -> F32:
-        return motion.places[:, index[named]] if named in index else absent
+        return motion.positions[:, index[named]] if named in index else absent
 
     between = (track("chest") * (1.0 - SPINE3) + track("neck") * SPINE3).astype(np.float32)
     tracks = [between if joint == "spine3" else track(_SMPL_FROM_NAMED[joint]) for joint in SMPL_24]

@@ -7,7 +7,7 @@ from pathlib import Path
 
 from playwright.sync_api import expect
 
-from kinedex.pipelines.ranking.store_ranking import RankingQuestion, rank_store
+from kinedex.pipelines.templates.store_ranking import RankingQuestion, rank_store
 from kinedex.storage.store.store import open_store
 from tests.browser.explorer.conftest import Open
 

@@ -227,7 +227,7 @@ def test_markers_may_be_called_otherwise_and_a_file_may_say_what_is_up(tmp_path:
     own = user_file(tmp_path, "hdm05-c3d", ("only: ", "aliases: {LFWT: [LASI]}\nonly: "))
     nodes = {f"Ann:{'LASI' if name == 'LFWT' else name}": i for name, i in nodes_of("hdm05-c3d").items()}
     fit = load_mappings(own, JOINTS).detect("x", "c3d", nodes)
-    assert fit.places["LFWT"] == nodes["Ann:LASI"]
+    assert fit.indices["LFWT"] == nodes["Ann:LASI"]
     assert fit.upright(None) is fit
     assert fit.upright("z") is fit
     for up in "xy":

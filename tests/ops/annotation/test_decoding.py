@@ -13,7 +13,7 @@ from kinedex.ops.annotation.background import background
 from kinedex.ops.annotation.decoding import (
     STANDING_OUT,
     Decoding,
-    Explained,
+    ExplainedSegment,
     exclusive_shares,
     explain,
     margins,
@@ -144,7 +144,7 @@ def test_of_templates_that_fit_equally_the_first_is_taken() -> None:
     decoding = Decoding(entry=0.05, stay=0.0, gain=0.0)
     (found,) = explain([same, same], usual, words, decoding)
     value = 2 * oracle.log_ratio([1, 0, 0], (0.9, 0.5, 0.5), HALF, decoding.smoothing, 0.0) - 0.05
-    assert found == Explained(0, 2, 0, pytest.approx(value))
+    assert found == ExplainedSegment(0, 2, 0, pytest.approx(value))
 
 
 def test_an_exclusive_share_is_what_the_next_best_class_lacks_of_the_value() -> None:

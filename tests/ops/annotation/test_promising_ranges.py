@@ -13,7 +13,7 @@ from kinedex.ops.annotation import decoding as module
 from kinedex.ops.annotation import promising_ranges as grouping
 from kinedex.ops.annotation.background import background
 from kinedex.ops.annotation.decoding import Decoding, exclusive_shares, explain, frames_of
-from kinedex.ops.annotation.promising_ranges import lay_groups, loose_ranges, promising_ranges
+from kinedex.ops.annotation.promising_ranges import loose_ranges, promising_ranges, template_groups
 from kinedex.ops.templates.templates import Template
 from kinedex.ops.words import NO_WORD
 from tests.ops.annotation.test_decoding import TEMPLATES, USUAL, WORDS, as_bits, template
@@ -22,7 +22,7 @@ from tests.plain_python import slow_as_python
 
 
 def ranges_of(templates: list[Template], usual: np.ndarray, words: np.ndarray, decoding: Decoding) -> np.ndarray:
-    return promising_ranges(lay_groups(templates, usual, decoding), usual, words, decoding)
+    return promising_ranges(template_groups(templates, usual, decoding), usual, words, decoding)
 
 
 @pytest.fixture(autouse=True)
@@ -62,7 +62,7 @@ def test_nothing_outside_is_ever_needed(
         exclusive_shares(whole, templates, classes, usual, taken, decoding, promising=promising), abs=1e-6
     )
     frames = frames_of(taken, usual, decoding)
-    loose = loose_ranges(lay_groups(templates, usual, decoding), frames, decoding)
+    loose = loose_ranges(template_groups(templates, usual, decoding), frames, decoding)
     assert explain(templates, usual, frames, decoding, loose=loose) == whole  # to the last bit
     assert np.array_equal(
         exclusive_shares(whole, templates, classes, usual, frames, decoding, promising=loose),
@@ -108,7 +108,7 @@ def test_a_long_take_is_explained_as_without_them(seed: int, monkeypatch: pytest
     promising = ranges_of(templates, usual, words, decoding)
     share = (promising[:, 2] - promising[:, 1]).sum() / len(words) / len(templates)
     assert 0.0 < share < 0.5
-    loose = loose_ranges(lay_groups(templates, usual, decoding), frames_of(words, usual, decoding), decoding)
+    loose = loose_ranges(template_groups(templates, usual, decoding), frames_of(words, usual, decoding), decoding)
     assert share < (loose[:, 2] - loose[:, 1]).sum() / len(words) / len(templates) < 0.8
     whole = explain(templates, usual, words, decoding)
     assert len(whole) > 5

@@ -39,8 +39,10 @@ def test_random_angles(largest: float) -> None:
 
 
 def test_whole_degrees_and_their_neighbours() -> None:
-    turns = np.deg2rad(np.concatenate([np.arange(-720.0, 721.0, 0.5), np.arange(0.0, np.rad2deg(LARGEST), 9_990.0)]))
-    angles = np.concatenate([turns, np.nextafter(turns, np.inf), np.nextafter(turns, -np.inf)])
+    rotations = np.deg2rad(
+        np.concatenate([np.arange(-720.0, 721.0, 0.5), np.arange(0.0, np.rad2deg(LARGEST), 9_990.0)])
+    )
+    angles = np.concatenate([rotations, np.nextafter(rotations, np.inf), np.nextafter(rotations, -np.inf)])
     sines, cosines = both(angles)
     # next to a zero the last digit is a small thing: what is left of the angle must be exact far behind it
     np.testing.assert_array_max_ulp(sines, np.sin(angles), 1)

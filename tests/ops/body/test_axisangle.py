@@ -26,20 +26,22 @@ def test_a_rotation_vector_turns_as_its_quaternion_does(
 @given(seed=st.integers(0, 10_000), frames=st.integers(1, 5), joints=st.integers(1, 9))
 def test_joints_are_where_their_parents_turns_bring_them(seed: int, frames: int, joints: int) -> None:
     random = np.random.default_rng(seed)
-    rest, turns, places = (random.normal(size=shape) for shape in ((joints, 3), (frames, joints, 3), (frames, 3)))
+    rest, rotations, places = (random.normal(size=shape) for shape in ((joints, 3), (frames, joints, 3), (frames, 3)))
     parents = [-1, *(int(random.integers(0, j)) for j in range(1, joints))]
-    positions, root = axisangle.forward(rest, parents, turns, places)
+    positions, root = axisangle.forward(rest, parents, rotations, places)
     for t in range(frames):
-        np.testing.assert_allclose(positions[:, :, t], oracle.pose(rest, parents, turns[t], places[t]), atol=1e-12)
+        np.testing.assert_allclose(positions[:, :, t], oracle.pose(rest, parents, rotations[t], places[t]), atol=1e-12)
         for axis in np.eye(3):
-            np.testing.assert_allclose(root[:, t].reshape(3, 3) @ axis, oracle.rotate(turns[t, 0], axis), atol=1e-12)
+            np.testing.assert_allclose(
+                root[:, t].reshape(3, 3) @ axis, oracle.rotate(rotations[t, 0], axis), atol=1e-12
+            )
 
 
 def test_a_long_take_has_no_seams(monkeypatch: pytest.MonkeyPatch) -> None:
     random = np.random.default_rng(0)
     arguments = (random.normal(size=(3, 3)), [-1, 0, 1], random.normal(size=(50, 3, 3)), random.normal(size=(50, 3)))
     whole = axisangle.forward(*arguments)
-    monkeypatch.setattr(axisangle, "_AT_ONCE", 7)
+    monkeypatch.setattr(axisangle, "_BLOCK_FRAMES", 7)
     for found, expected in zip(axisangle.forward(*arguments), whole, strict=True):
         np.testing.assert_array_equal(found, expected)
 

@@ -11,7 +11,7 @@ from kinedex.ops.body.facing_direction import (
     Placement,
     facing_yaw,
     mirrored_names,
-    mirrored_places,
+    mirrored_positions,
     mirrored_quaternions,
     placement_of,
     start_at_origin,
@@ -54,8 +54,8 @@ def test_a_pair_that_is_not_known_does_not_count_and_without_any_there_is_no_pla
 def test_a_mirror_exchanges_left_and_right_and_twice_it_changes_nothing() -> None:
     names = ["root", "lhip", "rhip", "lefty"]
     assert mirrored_names(names) == ["root", "rhip", "lhip", "lefty"]
-    places = np.random.default_rng(1).normal(size=(3, 4, 3)).astype(np.float32)
-    mirrored = mirrored_places(places, names)
-    np.testing.assert_array_equal(mirrored[:, 1], places[:, 2] * np.array([-1, 1, 1], np.float32))
+    positions = np.random.default_rng(1).normal(size=(3, 4, 3)).astype(np.float32)
+    mirrored = mirrored_positions(positions, names)
+    np.testing.assert_array_equal(mirrored[:, 1], positions[:, 2] * np.array([-1, 1, 1], np.float32))
     assert mirrored.dtype == np.float32
-    np.testing.assert_array_equal(mirrored_places(mirrored, names), places)
+    np.testing.assert_array_equal(mirrored_positions(mirrored, names), positions)

@@ -39,15 +39,15 @@ BODY = example_body()
 def random_poses(seed: int, frames: int, size: float = 0.5) -> Poses:
     """Poses that every node's axes allow, with hinges that bend their way."""
     random = np.random.default_rng(seed)
-    turns = np.tile(np.eye(3), (frames, len(CHAIN.nodes), 1, 1))
+    rotations = np.tile(np.eye(3), (frames, len(CHAIN.nodes), 1, 1))
     for t in range(frames):
         vectors = np.zeros((len(CHAIN.nodes), 3))
         for axis in CHAIN.axes:
             turn = random.normal(0, size)
             vectors[axis.node, axis.direction] = axis.sign * (abs(turn) if np.isfinite(axis.hinge[1]) else turn)
         vectors[0, :] = [0.3, random.uniform(-3, 3), -0.2]
-        turns[t] = [oracle.exp(vector) for vector in vectors]
-    return Poses(random.normal(0, 1, (frames, 3)), turns)
+        rotations[t] = [oracle.exp(vector) for vector in vectors]
+    return Poses(random.normal(0, 1, (frames, 3)), rotations)
 
 
 def test_the_shipped_chain_has_twenty_nodes_and_48_parameters() -> None:
@@ -55,12 +55,12 @@ def test_the_shipped_chain_has_twenty_nodes_and_48_parameters() -> None:
 
 
 def test_the_worked_example() -> None:
-    turns = np.tile(np.eye(3), (1, 20, 1, 1))
+    rotations = np.tile(np.eye(3), (1, 20, 1, 1))
     for node, vector in {
         "pelvis": (0, 90, 0), "lknee": (90, 0, 0), "lshoulder": (0, 0, -90), "lelbow": (0, -90, 0),
     }.items():  # fmt: skip
-        turns[0, CHAIN.nodes.index(node)] = oracle.exp(np.deg2rad(vector))
-    positions, _ = forward(BODY, Poses(np.array([[0.0, 1.0, 0.0]]), turns))
+        rotations[0, CHAIN.nodes.index(node)] = oracle.exp(np.deg2rad(vector))
+    positions, _ = forward(BODY, Poses(np.array([[0.0, 1.0, 0.0]]), rotations))
     for joint, place in {
         "lknee": (0, 0.5, -0.1), "lankle": (-0.42, 0.5, -0.1), "ltoes": (-0.4725, 0.35945, -0.1),
         "lelbow": (0, 1.1, -0.18), "lwrist": (0.25, 1.1, -0.18), "rwrist": (0, 1.38, 0.71), "headtop": (0, 1.64, 0),
@@ -72,17 +72,17 @@ def test_the_worked_example() -> None:
 @given(seed=st.integers(0, 2**32 - 1))
 def test_joints_steps_and_derivatives_are_those_of_the_twin(seed: int) -> None:
     poses = random_poses(seed, 1)
-    place, turns = poses.places[0], poses.turns[0]
+    place, rotations = poses.positions[0], poses.rotations[0]
     positions, turned = forward(BODY, poses)
-    np.testing.assert_allclose(positions[:, :, 0], oracle.joints(BODY, place, turns), atol=1e-12)
+    np.testing.assert_allclose(positions[:, :, 0], oracle.joints(BODY, place, rotations), atol=1e-12)
     step = np.random.default_rng(seed).normal(0, 0.4, CHAIN.parameters)
     new_place, new_turns = np.empty(3), np.empty((20, 3, 3))
-    chains.take_step(BODY.arrays, place, turns, step, new_place, new_turns)
-    expected = oracle.stepped(BODY, place, turns, step)
+    chains.take_step(BODY.arrays, place, rotations, step, new_place, new_turns)
+    expected = oracle.stepped(BODY, place, rotations, step)
     np.testing.assert_allclose(new_place, expected[0])
     np.testing.assert_allclose(new_turns, expected[1], atol=1e-12)
     centres, columns = np.empty((20, 3)), np.empty((CHAIN.parameters, 4))
-    chains.pose_nodes(BODY.arrays, place, turns, np.empty((20, 3, 3)), centres)
+    chains.pose_nodes(BODY.arrays, place, rotations, np.empty((20, 3, 3)), centres)
     for joint in ("ltoes", "rfingers", "headtop", "rhip"):
         j = CHAIN.joint(joint)
         count = chains.point_jacobian(BODY.arrays, turned[0], centres, CHAIN.rest[j].node, positions[j, :, 0], columns)
@@ -91,7 +91,7 @@ def test_joints_steps_and_derivatives_are_those_of_the_twin(seed: int) -> None:
         for d in range(CHAIN.parameters):
             small = 1e-6 * np.eye(CHAIN.parameters)[d]
             ahead, behind = (
-                oracle.joints(BODY, *oracle.stepped(BODY, place, turns, sign * small))[j] for sign in (1, -1)
+                oracle.joints(BODY, *oracle.stepped(BODY, place, rotations, sign * small))[j] for sign in (1, -1)
             )
             np.testing.assert_allclose(found[d], (ahead - behind) / 2e-6, atol=1e-8)
 
@@ -100,15 +100,15 @@ def test_joints_steps_and_derivatives_are_those_of_the_twin(seed: int) -> None:
 @given(seed=st.integers(0, 2**32 - 1))
 def test_the_gradient_of_the_rest_terms_is_exact(seed: int) -> None:
     poses = random_poses(seed, 1, 1.2)
-    place, turns = poses.places[0], poses.turns[0]
+    place, rotations = poses.positions[0], poses.rotations[0]
     nowhere = np.full((24, 3), np.nan)
 
     def cost(step: np.ndarray) -> float:
-        return float((oracle.residuals(BODY, *oracle.stepped(BODY, place, turns, step), nowhere) ** 2).sum())
+        return float((oracle.residuals(BODY, *oracle.stepped(BODY, place, rotations, step), nowhere) ** 2).sum())
 
     gradient, hessian = np.zeros(CHAIN.parameters), np.zeros((CHAIN.parameters, CHAIN.parameters))
-    chains.add_rest_terms(BODY.arrays, turns, hessian, gradient)
-    np.testing.assert_allclose(chains.rest_cost(BODY.arrays, turns), cost(np.zeros(CHAIN.parameters)), rtol=1e-9)
+    chains.add_rest_terms(BODY.arrays, rotations, hessian, gradient)
+    np.testing.assert_allclose(chains.rest_cost(BODY.arrays, rotations), cost(np.zeros(CHAIN.parameters)), rtol=1e-9)
     for d in range(3, CHAIN.parameters):
         small = 1e-6 * np.eye(CHAIN.parameters)[d]
         np.testing.assert_allclose(2 * gradient[d], (cost(small) - cost(-small)) / 2e-6, rtol=1e-4, atol=1e-3)
@@ -127,7 +127,7 @@ def test_the_fit_finds_the_minimum_of_the_twin() -> None:
     positions[CHAIN.joint("lfingers")] = np.nan
     points = positions[:, :, 0]
     found = fit_poses(BODY, positions, steps=60, tolerance=0.0)
-    at = found.places[0], found.turns[0]
+    at = found.positions[0], found.rotations[0]
 
     def terms(step: np.ndarray) -> np.ndarray:
         return oracle.residuals(BODY, *oracle.stepped(BODY, *at, step), points)
@@ -163,8 +163,8 @@ def test_frames_without_joints_and_bones_without_length_are_fitted() -> None:
     positions[CHAIN.joint("belly")] = positions[CHAIN.joint("root")]
     body = measured_body(CHAIN, positions)
     poses = fit_poses(body, positions)
-    assert np.isfinite(poses.turns).all()
-    np.testing.assert_allclose(np.linalg.det(poses.turns), 1.0, atol=1e-9)
+    assert np.isfinite(poses.rotations).all()
+    np.testing.assert_allclose(np.linalg.det(poses.rotations), 1.0, atol=1e-9)
     found, _ = forward(body, poses)
     assert np.nanmean(np.sqrt(((found - positions) ** 2).sum(axis=1))) < 0.02
 

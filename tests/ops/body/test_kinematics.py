@@ -24,9 +24,9 @@ def chain(seed: int = 0) -> tuple[tuple[k.Node, ...], int]:
 
 def naive(nodes: tuple[k.Node, ...], frame: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """One frame, node by node: positions (nodes, 3) and rotations (nodes, 3, 3)."""
-    turns, ends = [], []
+    rotations, ends = [], []
     for node in nodes:
-        up, start = (turns[node.parent], ends[node.parent]) if node.parent >= 0 else (np.eye(3), np.zeros(3))
+        up, start = (rotations[node.parent], ends[node.parent]) if node.parent >= 0 else (np.eye(3), np.zeros(3))
         own, after = up @ node.frame, node.after.copy()
         start = start + up @ node.before
         for step in node.steps:
@@ -38,9 +38,9 @@ def naive(nodes: tuple[k.Node, ...], frame: np.ndarray) -> tuple[np.ndarray, np.
                 own = own @ k.rotation(step.kind, np.rad2deg(frame[step.column]))
             elif step.kind == k.STRETCH:
                 after += node.direction * frame[step.column]
-        turns.append(own)
+        rotations.append(own)
         ends.append(start + own @ after)
-    return np.array(ends), np.array(turns)
+    return np.array(ends), np.array(rotations)
 
 
 @pytest.mark.parametrize("seed", range(5))
@@ -50,9 +50,9 @@ def test_every_kind_of_channel_as_its_definition_says(seed: int, frames: int) ->
     channels = np.random.default_rng(seed).normal(size=(frames, columns))
     positions, orientation = k.forward(nodes, channels, oriented=3)
     for t in (0, frames // 2, frames - 1):
-        ends, turns = naive(nodes, channels[t])
+        ends, rotations = naive(nodes, channels[t])
         np.testing.assert_allclose(positions[:, :, t], ends, atol=1e-12)
-        np.testing.assert_allclose(orientation[:, t], turns[3].ravel(), atol=1e-12)
+        np.testing.assert_allclose(orientation[:, t], rotations[3].ravel(), atol=1e-12)
 
 
 def test_nodes_that_nobody_wants_are_left_out_and_the_others_are_the_same() -> None:
@@ -101,8 +101,8 @@ def from_quaternions(q: np.ndarray) -> np.ndarray:
 
 def test_quaternions_are_the_turns_and_do_not_jump() -> None:
     angles = np.linspace(0, 6 * np.pi, 500)
-    turns = [k.euler((float(a), 0.3 * float(a), -2.0 * float(a)), "ZYX") for a in np.rad2deg(angles)]
-    matrices = np.ascontiguousarray(np.array(turns).reshape(-1, 9).T)
+    rotations = [k.euler((float(a), 0.3 * float(a), -2.0 * float(a)), "ZYX") for a in np.rad2deg(angles)]
+    matrices = np.ascontiguousarray(np.array(rotations).reshape(-1, 9).T)
     q = k.quaternions(matrices)
     np.testing.assert_allclose(from_quaternions(q), matrices, atol=1e-12)
     assert q[0, 0] > 0
@@ -111,9 +111,9 @@ def test_quaternions_are_the_turns_and_do_not_jump() -> None:
 
 def test_fixed_turns_before_and_after() -> None:
     before, after = k.euler((10, 20, 30), "XYZ"), k.euler((-50, 5, 80), "ZXY")
-    turns = np.array([k.euler((a, 2 * a, 3 * a), "XYZ") for a in range(0, 360, 10)])
-    matrices = np.ascontiguousarray(turns.reshape(-1, 9).T)
-    together = np.ascontiguousarray((before @ turns @ after).reshape(-1, 9).T)
+    rotations = np.array([k.euler((a, 2 * a, 3 * a), "XYZ") for a in range(0, 360, 10)])
+    matrices = np.ascontiguousarray(rotations.reshape(-1, 9).T)
+    together = np.ascontiguousarray((before @ rotations @ after).reshape(-1, 9).T)
     np.testing.assert_allclose(k.quaternions(matrices, before, after), k.quaternions(together), atol=1e-12)
 
 

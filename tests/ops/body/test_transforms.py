@@ -46,7 +46,7 @@ def test_arcs_are_short_and_of_constant_speed() -> None:
 def test_transforms_of_a_tree_are_products_along_the_way_from_the_root() -> None:
     parents = [-1, 0, 1, 1, -1, 4]
     linear, offsets = RANDOM.normal(size=(6, 7, 3, 3)), RANDOM.normal(size=(6, 7, 3))
-    whole, places = global_transforms(parents, linear, offsets)
+    whole, positions = global_transforms(parents, linear, offsets)
     for node in range(6):
         for t in range(7):
             matrix, place, at = np.eye(3), np.zeros(3), node
@@ -55,7 +55,7 @@ def test_transforms_of_a_tree_are_products_along_the_way_from_the_root() -> None
                 matrix = linear[at, t] @ matrix
                 at = parents[at]
             np.testing.assert_allclose(whole[node, t], matrix, atol=1e-12)
-            np.testing.assert_allclose(places[node, t], place, atol=1e-12)
+            np.testing.assert_allclose(positions[node, t], place, atol=1e-12)
 
 
 def test_wrong_trees_are_refused() -> None:

@@ -16,10 +16,10 @@ POSE = np.array([STANDING[joint] for joint in JOINTS]) + np.array([0.05, -1.0, -
 """A person who stands 3 m before the camera and faces it, in the axes of the kernels: y up, z towards the camera."""
 
 
-def turned_pose(joints: I64, pose: F64, turns: F64, shift: npt.ArrayLike = (0.0, 0.0, 0.0)) -> F64:
+def turned_pose(joints: I64, pose: F64, rotations: F64, shift: npt.ArrayLike = (0.0, 0.0, 0.0)) -> F64:
     """Return a pose after rotating every pivot, the deepest ones first, and then translating the whole body."""
     turned = np.array(pose, np.float64)
-    turn_pose(pivots_of(joints), turned, np.ascontiguousarray(turns, np.float64), np.asarray(shift, np.float64))
+    turn_pose(pivots_of(joints), turned, np.ascontiguousarray(rotations, np.float64), np.asarray(shift, np.float64))
     return turned
 
 

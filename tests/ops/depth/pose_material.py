@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from kinedex.ops.depth.pose_database import bone_directions
+from kinedex.ops.depth.thinned_poses import bone_directions
 from tests.ops.depth.cone_bodies import POSE, bone_lengths, random_pose
 
 BONES = bone_lengths(POSE)

@@ -10,7 +10,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from kinedex.ops.depth.extrema import TIP_M, extrema_room, find_source, geodesic_extrema, tips_first
+from kinedex.ops.depth.extrema import TIP_M, extrema_buffers, find_source, geodesic_extrema, tips_first
 from kinedex.ops.depth.graph import build_graph
 from kinedex.ops.depth.points import FrameCloud
 from kinedex.ops.errors import ParameterError
@@ -72,12 +72,12 @@ def test_tips_come_first(seed: int, on_lattice: bool) -> None:
     source = find_source(cloud, graph)
     if source < 0:
         return
-    room, around = extrema_room(2000), neighbours(graph)
-    found = geodesic_extrema(graph, source, room=room)
+    buffers, around = extrema_buffers(2000), neighbours(graph)
+    found = geodesic_extrema(graph, source, buffers=buffers)
     from_source = oracle.shortest(around, [source])
     tips = [oracle.is_tip(cloud.points, around, node, from_source, TIP_M) for node in found.nodes.tolist()]
     order = sorted(range(len(tips)), key=lambda k: not tips[k])
-    ordered = tips_first(cloud, graph, found, room)
+    ordered = tips_first(cloud, graph, found, buffers)
     for before, after in zip(found, ordered, strict=True):
         assert after.tolist() == before[order].tolist()
 
@@ -130,9 +130,9 @@ def test_the_figures_of_a_given_frame(shared: Path, name: str) -> None:
 
 def finds_all_ends(cloud: FrameCloud, ends: np.ndarray, drop: float, tips: bool = False) -> bool:
     """Return True where each of the five ends has one of the first five extrema within 0.2 m, one to one."""
-    graph, room = build_graph(cloud), extrema_room(len(cloud.points))
-    found = geodesic_extrema(graph, find_source(cloud, graph, drop), 20, room)
-    nodes = (tips_first(cloud, graph, found, room) if tips else found).nodes[:5]
+    graph, buffers = build_graph(cloud), extrema_buffers(len(cloud.points))
+    found = geodesic_extrema(graph, find_source(cloud, graph, drop), 20, buffers)
+    nodes = (tips_first(cloud, graph, found, buffers) if tips else found).nodes[:5]
     close = np.linalg.norm(cloud.points[nodes][:, None] - ends, axis=2) <= 0.2
     return any(close[list(order), range(5)].all() for order in permutations(range(len(close)), 5))
 
@@ -155,7 +155,7 @@ def test_hands_and_heads_of_a_real_camera_are_found(shared: Path) -> None:
     for cloud, hands, head in kinect_frames(shared, 2):
         graph = build_graph(cloud, 0.04)
         found = cloud.points[geodesic_extrema(graph, find_source(cloud, graph, 0.0), 7).nodes]
-        to_hands, to_head = (np.linalg.norm(found[:, None] - places, axis=2) for places in (hands, head))
+        to_hands, to_head = (np.linalg.norm(found[:, None] - positions, axis=2) for positions in (hands, head))
         assert (to_hands[:3].min(axis=0) < 0.10).all()
         heads.append(int(np.flatnonzero(to_head[:, 0] < 0.10)[0]) + 1)
     assert len(heads) == 9

@@ -8,14 +8,14 @@ from kinedex.ops.depth.lookup import (
     ALL_MAPS_DEG,
     TURNS_DEG,
     Lookup,
-    add_turned,
+    add_rotated,
     best_of_rows,
     propose_start,
     turned_direction,
 )
-from kinedex.ops.depth.pose_database import facing_of, place_directions, turn_poses
 from kinedex.ops.depth.pose_distance import END_EFFECTORS
 from kinedex.ops.depth.pose_index import PoseIndex, pose_centres
+from kinedex.ops.depth.thinned_poses import facing_of, place_directions, turn_poses
 from tests.ops.depth.pose_material import BONES, random_directions
 from tests.oracles.pose_lookup import pose_distance
 
@@ -51,7 +51,7 @@ def test_a_start_finds_a_pose_that_faces_any_direction() -> None:
         found = propose_start(LOOKUP, extrema, CENTRE, TOWARDS)
         assert len(found.maps) == 2 * 120 + 6 * 12
         best = int(np.argmin(found.costs))
-        assert (found.rows[best], found.turns[best]) == (row, degrees)
+        assert (found.rows[best], found.rotations[best]) == (row, degrees)
         assert pose_distance(pose, found.poses[[best]])[0] < 1e-6
         np.testing.assert_array_equal(extrema[found.maps[found.origins[best]]], pose[END_EFFECTORS])
 
@@ -61,12 +61,12 @@ def test_a_frame_adds_one_pose_of_the_direction_whose_turn_it_is() -> None:
     extrema = pose[END_EFFECTORS]
     own = LOOKUP.propose(extrema, CENTRE, TOWARDS, pose)
     for number in (0, 2, 8):
-        found = add_turned(own, LOOKUP, extrema, CENTRE, TOWARDS, number)
+        found = add_rotated(own, LOOKUP, extrema, CENTRE, TOWARDS, number)
         assert len(found.rows) == len(own.rows) + 1 == len(set(found.rows.tolist()))
-        assert found.turns.tolist() == [*[0.0] * len(own.rows), TURNS_DEG[number % 7]]
+        assert found.rotations.tolist() == [*[0.0] * len(own.rows), TURNS_DEG[number % 7]]
         assert found.origins[-1] >= len(own.maps)
         np.testing.assert_array_equal(found.maps[: len(own.maps)], own.maps)
-    assert len(add_turned(own, LOOKUP, extrema[:4], CENTRE, TOWARDS, 0).rows) == len(own.rows)
+    assert len(add_rotated(own, LOOKUP, extrema[:4], CENTRE, TOWARDS, 0).rows) == len(own.rows)
 
 
 def test_the_best_candidate_of_each_row_stays() -> None:

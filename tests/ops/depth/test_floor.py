@@ -8,7 +8,7 @@ from hypothesis import example, given
 from hypothesis import strategies as st
 
 from kinedex.ops.body.axisangle import matrices
-from kinedex.ops.depth.floor import WITHIN_M, admissible_planes, find_floor, upright_turn
+from kinedex.ops.depth.floor import WITHIN_M, admissible_planes, find_floor, upright_rotation
 from kinedex.ops.errors import ParameterError
 from tests.oracles.floor import largest_plane
 
@@ -42,7 +42,7 @@ def test_tilted_cameras_find_the_floor(pitch: float, roll: float) -> None:
         assert found is not None
         assert np.degrees(np.arccos(found.normal @ up)) < 0.3
         assert found.height == pytest.approx(-1.2, abs=0.01)
-        level = room(turn) @ upright_turn(found.normal).T
+        level = room(turn) @ upright_rotation(found.normal).T
         assert np.sort(level[np.abs(level[:, 1] + 1.2) < 0.02, 1]).mean() == pytest.approx(-1.2, abs=0.005)
 
 
@@ -81,7 +81,7 @@ def test_the_plane_is_the_largest_of_those_that_plain_loops_try() -> None:
 @given(st.lists(st.floats(-1, 1), min_size=3, max_size=3).filter(lambda x: np.linalg.norm(x) > 0.01))
 @example([1e-05, -1.0, 0.0])
 def test_the_upright_turn_is_the_shortest_rotation_to_y(direction: list[float]) -> None:
-    turn = upright_turn(direction)
+    turn = upright_rotation(direction)
     up = np.array(direction) / np.linalg.norm(direction)
     assert turn @ up == pytest.approx(UP, abs=1e-9)
     assert turn @ turn.T == pytest.approx(np.eye(3), abs=1e-9)
@@ -90,8 +90,8 @@ def test_the_upright_turn_is_the_shortest_rotation_to_y(direction: list[float]) 
 
 
 def test_straight_down_is_turned_too_and_nothing_is_refused() -> None:
-    assert upright_turn([0, -2, 0]).tolist() == [[1, 0, 0], [0, -1, 0], [0, 0, -1]]
+    assert upright_rotation([0, -2, 0]).tolist() == [[1, 0, 0], [0, -1, 0], [0, 0, -1]]
     with pytest.raises(ParameterError, match="up must be a direction"):
-        upright_turn([0, 0, 0])
+        upright_rotation([0, 0, 0])
     with pytest.raises(ParameterError, match="points must be of shape"):
         find_floor(np.zeros(3))

@@ -10,9 +10,9 @@ import pytest
 
 from kinedex.ops.depth.image_search import depth_view
 from kinedex.ops.depth.points import Preparation, ray_table
-from kinedex.ops.depth.pose_database import bone_lengths_of
 from kinedex.ops.depth.pose_distance import COMPARED
 from kinedex.ops.depth.pose_fit import PRINTED_STEPS, STEPS, PoseFit
+from kinedex.ops.depth.thinned_poses import bone_lengths_of
 from kinedex.storage.formats.depth.camera_file import read_camera
 from kinedex.storage.formats.depth.png import read_depth_png
 from tests.ops.depth.cone_bodies import BODY

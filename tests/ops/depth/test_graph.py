@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from kinedex.ops.depth.graph import PointGraph, build_graph, edge_threshold, graph_room
+from kinedex.ops.depth.graph import PointGraph, build_graph, edge_threshold, graph_buffers
 from kinedex.ops.depth.points import FrameCloud
 from tests.ops.depth.depth_images import flat_cloud, lattice_cloud, random_cloud
 from tests.oracles import depth_points as oracle
@@ -52,10 +52,10 @@ def test_equally_close_pairs_and_components_go_to_the_lowest_nodes(seed: int) ->
 @settings(max_examples=10)
 @given(seed=st.integers(0, 2**32 - 1))
 def test_room_of_other_frames_leaves_nothing_behind(seed: int) -> None:
-    room, last = graph_room(2000), random_cloud(seed)
-    build_graph(random_cloud(seed + 1), 0.06, room)
-    build_graph(lattice_cloud(seed), 0.012, room)
-    assert_graph(last, build_graph(last, 0.06, room), 0.06)
+    buffers, last = graph_buffers(2000), random_cloud(seed)
+    build_graph(random_cloud(seed + 1), 0.06, buffers)
+    build_graph(lattice_cloud(seed), 0.012, buffers)
+    assert_graph(last, build_graph(last, 0.06, buffers), 0.06)
 
 
 def test_the_largest_component_is_the_body_and_far_ones_are_not() -> None:

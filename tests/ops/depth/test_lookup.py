@@ -7,10 +7,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from kinedex.ops.depth.lookup import APART_M, MOST_MAPS, NEAR_M, Lookup, feet_maps, near_maps
-from kinedex.ops.depth.pose_database import facing_of, place_directions, turn_poses
+from kinedex.ops.depth.lookup import APART_M, MAX_MAPS, NEAR_M, Lookup, feet_maps, near_maps
 from kinedex.ops.depth.pose_distance import END_EFFECTORS
 from kinedex.ops.depth.pose_index import PoseIndex, pose_centres
+from kinedex.ops.depth.thinned_poses import facing_of, place_directions, turn_poses
 from kinedex.ops.errors import ParameterError
 from tests.ops.depth.pose_material import BONES, random_directions
 from tests.oracles import pose_lookup as naive
@@ -50,7 +50,7 @@ def test_maps_are_those_of_least_sum_among_all(seed: int, count: int, spread: fl
     extrema, ends = random.normal(0, spread, (count, 3)), random.normal(0, spread, (5, 3))
     maps, sums = np.empty((24, 5), np.int64), np.empty(24)
     found = near_maps(extrema, ends, maps, sums)
-    assert [tuple(one) for one in maps[:found].tolist()] == naive.near_maps(extrema, ends, NEAR_M, MOST_MAPS)
+    assert [tuple(one) for one in maps[:found].tolist()] == naive.near_maps(extrema, ends, NEAR_M, MAX_MAPS)
     assert (np.diff(sums[:found]) >= 0).all()
 
 

@@ -7,7 +7,7 @@ import pytest
 
 from kinedex.ops.body.joint_tree import JOINTS
 from kinedex.ops.depth.low_pass import low_pass
-from kinedex.ops.depth.pose_database import bone_lengths_of
+from kinedex.ops.depth.thinned_poses import bone_lengths_of
 from kinedex.ops.errors import ParameterError
 from tests.bodies import STANDING
 

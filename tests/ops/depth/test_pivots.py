@@ -16,10 +16,10 @@ def test_a_pivot_moves_the_joints_below_it() -> None:
 
 def test_turns_are_those_of_rotations_with_the_deepest_pivot_first() -> None:
     rng = np.random.default_rng(3)
-    turns, shift = rng.normal(0, 0.5, (len(BODY.pivots), 3)), rng.normal(size=3)
-    turns[4] = 0
-    found = turned_pose(BODY.pivots, POSE, turns, shift)
-    np.testing.assert_allclose(found, oracle.turned(BODY.pivots, POSE, turns, shift), atol=1e-12)
+    rotations, shift = rng.normal(0, 0.5, (len(BODY.pivots), 3)), rng.normal(size=3)
+    rotations[4] = 0
+    found = turned_pose(BODY.pivots, POSE, rotations, shift)
+    np.testing.assert_allclose(found, oracle.turned(BODY.pivots, POSE, rotations, shift), atol=1e-12)
 
 
 def test_bones_keep_their_lengths() -> None:

@@ -114,7 +114,7 @@ def test_a_floor_above_the_camera_is_refused() -> None:
 @given(seed=st.integers(0, 2**32 - 1))
 def test_nearest_pixels_are_the_nearest(seed: int) -> None:
     cloud = random_cloud(seed)
-    nearest, (left, top, right, bottom) = nearest_pixels(cloud.numbers, cloud.box, cloud.room), cloud.box
+    nearest, (left, top, right, bottom) = nearest_pixels(cloud.numbers, cloud.box, cloud.buffers), cloud.box
     for v in range(top, bottom):
         for u in range(left, right):
             assert nearest[v, u] == oracle.nearest(cloud.pixels, u, v)

@@ -8,8 +8,8 @@ import pytest
 from kinedex.ops.depth.image_search import depth_view
 from kinedex.ops.depth.lookup import TURN_FRAMES, TURNS_DEG
 from kinedex.ops.depth.points import Preparation, ray_table
-from kinedex.ops.depth.pose_database import bone_directions, turn_poses
 from kinedex.ops.depth.pose_distance import COMPARED
+from kinedex.ops.depth.thinned_poses import bone_directions, turn_poses
 from kinedex.ops.depth.tracker import FrameResult, Reconstructor, TrackerSettings
 from kinedex.ops.errors import ParameterError
 from kinedex.ops.simulation.depth_rays import ConeRays, Surface

@@ -22,9 +22,9 @@ def dance(seed: int, frames: int = 40, *, yaw: float = 0.0, at: tuple[float, flo
     return turn_about_y(moved, yaw) + np.array([at[0], 0.0, at[1]])
 
 
-def outline(places: np.ndarray) -> np.ndarray:
-    root, left, right = places[0, 0], places[0, 1:2], places[0, 2:3]
-    return motion_outline(places, placement_of(root, left, right))
+def outline(positions: np.ndarray) -> np.ndarray:
+    root, left, right = positions[0, 0], positions[0, 1:2], positions[0, 2:3]
+    return motion_outline(positions, placement_of(root, left, right))
 
 
 def test_a_motion_elsewhere_or_at_another_rate_is_the_same_and_another_one_is_not() -> None:

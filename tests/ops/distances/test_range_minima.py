@@ -17,7 +17,7 @@ from kinedex.ops.errors import ParameterError
 from kinedex.ops.templates.templates import QuantisedTemplate
 from kinedex.ops.words import NO_WORD
 from tests.ops.distances.test_dtw import as_words_with_gaps, feature_weights, quantised, takes_with_gaps, templates
-from tests.ops.ranking.test_ranking import spoiled, walk
+from tests.ops.ranking.test_best_hits import spoiled, walk
 from tests.oracles.paths import start_frames
 from tests.plain_python import slow_as_python
 

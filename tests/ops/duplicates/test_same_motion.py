@@ -17,44 +17,44 @@ def motion(seed: int, seconds: float = 6.0, rate: float = 30.0, begin: float = 0
     rng = np.random.default_rng(seed)
     t = begin + np.arange(round(seconds * rate)) / rate
     rest = np.array([[0, 1, 0], [0.1, 0.9, 0], [-0.1, 0.9, 0], [0.5, 1.4, 0], [-0.5, 1.4, 0], [0, 1.7, 0]])
-    places = np.broadcast_to(rest, (len(t), 6, 3)).copy()
+    positions = np.broadcast_to(rest, (len(t), 6, 3)).copy()
     for _ in range(4):
         phase, speed = rng.uniform(0, 6, (3, 3)), rng.uniform(1, 9, (3, 3))
-        places[:, 3:] += still * 0.1 * np.sin(speed * t[:, None, None] + phase)
+        positions[:, 3:] += still * 0.1 * np.sin(speed * t[:, None, None] + phase)
     heading = 0.8 * np.sin(0.7 * t)
     turn = np.stack(
         [np.cos(heading), 0 * t, np.sin(heading), 0 * t, 1 + 0 * t, 0 * t, -np.sin(heading), 0 * t, np.cos(heading)]
     )
-    places = np.einsum("tab,tjb->tja", turn.T.reshape(-1, 3, 3), places)
-    places[:, :, 2] += t[:, None]
-    return places.astype(np.float32)
+    positions = np.einsum("tab,tjb->tja", turn.T.reshape(-1, 3, 3), positions)
+    positions[:, :, 2] += t[:, None]
+    return positions.astype(np.float32)
 
 
-def poses(places: F32, *, mirrored: bool = False) -> F32:
-    return local_poses(places, ROOT, LEFT, RIGHT, mirrored=mirrored)
+def poses(positions: F32, *, mirrored: bool = False) -> F32:
+    return local_poses(positions, ROOT, LEFT, RIGHT, mirrored=mirrored)
 
 
-def moved(places: F32, angle: float) -> F32:
+def moved(positions: F32, angle: float) -> F32:
     """Return the places turned about the vertical axis, and put elsewhere."""
     c, s = np.cos(angle), np.sin(angle)
     turn = np.array([[c, 0, s], [0, 1, 0], [-s, 0, c]])
-    return (places @ turn.T + np.array([3.0, -0.4, 7.0])).astype(np.float32)
+    return (positions @ turn.T + np.array([3.0, -0.4, 7.0])).astype(np.float32)
 
 
 def test_local_poses_do_not_depend_on_place_and_direction() -> None:
-    places = motion(1)
-    assert np.allclose(poses(places), poses(moved(places, 2.0)), atol=1e-5)
-    hips = poses(places)[:, LEFT] - poses(places)[:, RIGHT]
+    positions = motion(1)
+    assert np.allclose(poses(positions), poses(moved(positions, 2.0)), atol=1e-5)
+    hips = poses(positions)[:, LEFT] - poses(positions)[:, RIGHT]
     assert np.allclose(hips[:, 2], 0, atol=1e-6)
     assert (hips[:, 0] > 0).all()
 
 
 def test_local_poses_of_a_mirrored_body_are_those_of_the_body() -> None:
-    places = motion(2)
-    image = places.copy()
+    positions = motion(2)
+    image = positions.copy()
     image[..., 0] *= -1
     image = image[:, [0, 2, 1, 4, 3, 5]]  # the left hand of the image is the right hand of the body
-    assert np.allclose(poses(image[:, [0, 2, 1, 4, 3, 5]], mirrored=True), poses(places), atol=1e-5)
+    assert np.allclose(poses(image[:, [0, 2, 1, 4, 3, 5]], mirrored=True), poses(positions), atol=1e-5)
 
 
 @pytest.mark.parametrize("begin", [0.0, 0.5, 0.513, 0.7777])

@@ -35,7 +35,7 @@ def figure_7_14() -> tuple[np.ndarray, np.ndarray]:
 @given(st.integers(0, 2**32 - 1))
 def test_error_swing_and_twist_agree_with_matrices_and_make_the_error(seed: int) -> None:
     sensor, track, (world, mount) = some(3, seed), some(3, seed + 1), some(2, seed + 2)
-    found = d.errors(sensor, track, world, mount, AXIS)
+    found = d.frame_errors(sensor, track, world, mount, AXIS)
     for k in range(3):
         wanted = naive.error(sensor[k], track[k], world, mount, AXIS)
         assert [column[k] for column in found] == pytest.approx(wanted, abs=2e-4)
@@ -48,8 +48,8 @@ def test_error_swing_and_twist_agree_with_matrices_and_make_the_error(seed: int)
 def test_errors_do_not_change_when_both_worlds_turn(seed: int) -> None:
     sensor, track, (world, mount, one, other) = some(5, seed), some(5, seed + 1), some(4, seed + 2)
     turned = r.multiply(r.multiply(one, world), r.conjugate(other))
-    before = d.errors(sensor, track, world, mount, AXIS)
-    after = d.errors(r.multiply(other, sensor), r.multiply(one, track), turned, mount, AXIS)
+    before = d.frame_errors(sensor, track, world, mount, AXIS)
+    after = d.frame_errors(r.multiply(other, sensor), r.multiply(one, track), turned, mount, AXIS)
     np.testing.assert_allclose(after, before, atol=1e-10)
 
 
@@ -71,7 +71,7 @@ def test_with_wrong_offsets_tracking_errors_cannot_be_seen() -> None:
 def test_runs_are_grown_closed_and_dropped_in_this_order() -> None:
     e = np.array([0, 50, 30, 0, 60, 0, 0, 0, 70, 70, 20, 46, 0, 30], float)
     valid = np.ones(14, bool)
-    starts = lambda **rules: [run[:2] for run in d.runs(e, valid, 10.0, d.RunRules(**rules))]  # noqa: E731
+    starts = lambda **rules: [run[:2] for run in d.wrong_runs(e, valid, 10.0, d.RunRules(**rules))]  # noqa: E731
     assert starts() == [(1, 2), (4, 5), (8, 10), (11, 12)]
     assert starts(low_deg=25.0) == [(1, 3), (4, 5), (8, 10), (11, 12)]
     assert starts(low_deg=15.0) == [(1, 3), (4, 5), (8, 12)]
@@ -81,7 +81,7 @@ def test_runs_are_grown_closed_and_dropped_in_this_order() -> None:
     assert starts(min_s=0.2) == [(8, 10)]
     valid[9] = False
     assert starts() == [(1, 2), (4, 5), (8, 9), (11, 12)]
-    first = d.runs(e, valid, 10.0, d.RunRules(gap_s=0.1, low_deg=15.0))
+    first = d.wrong_runs(e, valid, 10.0, d.RunRules(gap_s=0.1, low_deg=15.0))
     assert first[-1] == (8, 12, 70.0, pytest.approx((70 + 20 + 46) / 3))
 
 
@@ -99,7 +99,7 @@ def test_runs_agree_with_frame_by_frame(
     rules = d.RunRules(45.0, low, gap / 25.0, least / 25.0)
     counted = (valid & np.isfinite(degrees)).tolist()
     wanted = naive.wrong_runs(degrees.tolist(), counted, 45.0, low, gap, least)
-    assert [run[:2] for run in d.runs(degrees, valid, 25.0, rules)] == wanted
+    assert [run[:2] for run in d.wrong_runs(degrees, valid, 25.0, rules)] == wanted
 
 
 def test_jumps_are_runs_of_their_own() -> None:
@@ -154,6 +154,6 @@ def test_rules_out_of_their_domain_are_refused(rules: dict[str, float], message:
 def test_wrong_shapes_and_an_axis_without_direction_are_refused() -> None:
     one = np.array([1.0, 0, 0, 0])
     with pytest.raises(ParameterError, match="both of shape"):
-        d.errors(some(3), some(4), one, one, AXIS)
+        d.frame_errors(some(3), some(4), one, one, AXIS)
     with pytest.raises(ParameterError, match="axis must be a vector that is not 0"):
-        d.errors(some(3), some(3), one, one, np.zeros(3))
+        d.frame_errors(some(3), some(3), one, one, np.zeros(3))

@@ -18,7 +18,7 @@ from kinedex.ops.inertial.injected_errors import (
     own_threshold,
 )
 from kinedex.ops.inertial.rotations import conjugate, distance_deg, exp, multiply, rotate
-from kinedex.ops.inertial.sensor_model import generator
+from kinedex.ops.inertial.sensor_model import seeded_generator
 
 pytest.importorskip("scipy")
 RATE = 40.0
@@ -31,7 +31,7 @@ def motion(frames: int = 4000) -> np.ndarray:
 
 
 def test_errors_come_and_last_as_drawn() -> None:
-    runs = error_times(40_000, RATE, generator(1))
+    runs = error_times(40_000, RATE, seeded_generator(1))
     seconds = np.array(runs) / RATE
     assert 0.5 <= seconds[0, 0] <= 2.5
     lengths, between = seconds[:-1, 1] - seconds[:-1, 0], seconds[1:, 0] - seconds[:-1, 1]
@@ -43,7 +43,7 @@ def test_errors_come_and_last_as_drawn() -> None:
 def test_every_kind_is_as_large_as_it_says() -> None:
     truth = motion(20_000)
     other = multiply(truth, exp(np.array([0.0, 0.0, 1.5])))
-    broken, errors = inject(truth, RATE, AXIS, generator(2), other)
+    broken, errors = inject(truth, RATE, AXIS, seeded_generator(2), other)
     off = distance_deg(truth, broken)
     inside = np.zeros(len(truth), bool)
     for one in errors:
@@ -65,13 +65,13 @@ def test_every_kind_is_as_large_as_it_says() -> None:
     assert (broken[~inside] == truth[~inside]).all()
     counts = {kind: sum(one.kind == kind for one in errors) for kind in KINDS}
     assert min(counts.values()) >= 0.1 * len(errors), "all five are equally likely"
-    assert all(one.kind != "swap" for one in inject(truth, RATE, AXIS, generator(2))[1])
+    assert all(one.kind != "swap" for one in inject(truth, RATE, AXIS, seeded_generator(2))[1])
 
 
 def test_unknown_frames_stay_unknown() -> None:
     truth = motion(2000)
     truth[100:300] = np.nan
-    broken, _ = inject(truth, RATE, AXIS, generator(3), motion(2000))
+    broken, _ = inject(truth, RATE, AXIS, seeded_generator(3), motion(2000))
     assert np.isnan(broken[100:300]).all()
     assert np.isfinite(broken[300:]).all()
 
@@ -84,15 +84,15 @@ def test_the_other_side_joins_the_long_axes() -> None:
 
 def test_annotators_see_what_is_above_their_threshold() -> None:
     truth = motion(8000)
-    broken, _ = inject(truth, RATE, AXIS, generator(5))
+    broken, _ = inject(truth, RATE, AXIS, seeded_generator(5))
     exact = labelled_runs(truth, broken, 20.0)
     off = distance_deg(truth, broken)
     assert all(off[start:stop].min() >= 20.0 for start, stop in exact)
     assert (off >= 20.0).sum() == sum(stop - start for start, stop in exact)
-    runs = annotate(truth, broken, RATE, 20.0, generator(6))
+    runs = annotate(truth, broken, RATE, 20.0, seeded_generator(6))
     assert 0.8 * len(exact) <= len(runs) <= len(exact)
     assert runs != exact
     near = [min(abs(start - other) for other, _ in exact) for start, _ in runs]
     assert np.median(near) <= 0.3 * RATE
-    assert 15.0 <= own_threshold(generator(1, "a")) <= 30.0
-    assert annotate(truth, broken, RATE, 20.0, generator(6)) == runs
+    assert 15.0 <= own_threshold(seeded_generator(1, "a")) <= 30.0
+    assert annotate(truth, broken, RATE, 20.0, seeded_generator(6)) == runs

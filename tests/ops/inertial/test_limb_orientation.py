@@ -26,40 +26,40 @@ def _motion(frames: int = 60) -> np.ndarray:
     return exp(np.stack([1.2 * np.sin(1.3 * t), 0.9 * np.sin(2.1 * t + 1), 1.5 * np.sin(0.7 * t + 2)], axis=1))
 
 
-def _markers(turns: np.ndarray, noise: float = 0.0) -> np.ndarray:
+def _markers(rotations: np.ndarray, noise: float = 0.0) -> np.ndarray:
     rng = np.random.default_rng(1)
-    places = rotate(turns[:, None], SHAPE) + np.linspace(0.0, 1.0, len(turns))[:, None, None]
-    return places + noise * rng.standard_normal(places.shape)
+    positions = rotate(rotations[:, None], SHAPE) + np.linspace(0.0, 1.0, len(rotations))[:, None, None]
+    return positions + noise * rng.standard_normal(positions.shape)
 
 
 def test_markers_turn_as_their_segment() -> None:
-    turns = _motion()
-    found = segment_orientation(_markers(turns))
+    rotations = _motion()
+    found = segment_orientation(_markers(rotations))
     fixed = multiply(found.orientation, found.orientation[0] * [1, -1, -1, -1])
-    truth = multiply(turns, turns[0] * [1, -1, -1, -1])
+    truth = multiply(rotations, rotations[0] * [1, -1, -1, -1])
     assert distance_deg(fixed, truth).max() < 1e-6
     assert found.rms_m.max() < 1e-12
     assert found.spread_m == pytest.approx(np.linalg.svd(SHAPE - SHAPE.mean(axis=0), compute_uv=False)[1])
 
 
 def test_noisy_markers_are_fitted_as_by_the_twin() -> None:
-    turns = _motion()
-    markers = _markers(turns, 0.003)
+    rotations = _motion()
+    markers = _markers(rotations, 0.003)
     found = segment_orientation(markers)
-    twin = np.array([kabsch(found.shape, places) for places in markers])
+    twin = np.array([kabsch(found.shape, positions) for positions in markers])
     np.testing.assert_allclose(matrix(found.orientation), twin, atol=1e-9)
     assert 0.001 < np.median(found.rms_m) < 0.006
 
 
 def test_a_hidden_marker_costs_no_frame_while_three_others_are_seen() -> None:
-    turns = _motion()
-    markers = _markers(turns)
+    rotations = _motion()
+    markers = _markers(rotations)
     markers[10:20, 0] = np.nan
     markers[30:35, :2] = np.nan
     found = segment_orientation(markers)
     assert found.valid.tolist() == [not 30 <= t < 35 for t in range(60)]
     assert np.isnan(found.orientation[30:35]).all()
-    whole = segment_orientation(_markers(turns))
+    whole = segment_orientation(_markers(rotations))
     assert distance_deg(found.orientation[found.valid], whole.orientation[found.valid]).max() < 1e-6
 
 
@@ -75,11 +75,11 @@ def test_markers_on_a_line_are_refused() -> None:
 
 def _leg(bend_deg: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Return hip, knee and ankle of a leg that turns and bends."""
-    turns = _motion(len(bend_deg))
-    knee = rotate(turns, np.array([0.0, -0.4, 0.0]))
+    rotations = _motion(len(bend_deg))
+    knee = rotate(rotations, np.array([0.0, -0.4, 0.0]))
     angle = np.radians(bend_deg)
     shank = np.stack([np.zeros_like(angle), -np.cos(angle), -np.sin(angle)], axis=1) * 0.4
-    return np.zeros_like(knee), knee, knee + rotate(turns, shank)
+    return np.zeros_like(knee), knee, knee + rotate(rotations, shank)
 
 
 @pytest.mark.parametrize("beyond", [True, False])
@@ -99,9 +99,9 @@ def test_a_hinge_carries_its_plane_over_straight_frames(beyond: bool) -> None:
 def test_a_bent_hinge_turns_as_its_segment() -> None:
     hip, knee, ankle = _leg(np.full(60, 40.0))
     orientation, _ = hinge_orientation(hip, knee, ankle, True)
-    turns = _motion(60)
+    rotations = _motion(60)
     ours = multiply(orientation, orientation[0] * [1, -1, -1, -1])
-    assert distance_deg(ours, multiply(turns, turns[0] * [1, -1, -1, -1])).max() < 1e-6
+    assert distance_deg(ours, multiply(rotations, rotations[0] * [1, -1, -1, -1])).max() < 1e-6
 
 
 def test_a_hinge_that_never_bends_or_is_not_seen_has_no_orientation() -> None:
@@ -117,13 +117,13 @@ def test_a_hinge_that_never_bends_or_is_not_seen_has_no_orientation() -> None:
 
 
 def test_a_fast_turn_is_a_jump() -> None:
-    turns = exp(np.stack([np.zeros(50), np.linspace(0, 3, 50), np.zeros(50)], axis=1))
-    assert not jumps(turns, 100.0).any()
-    turns[20:] = multiply(turns[20:], exp(np.array([0.0, 0.0, np.radians(40.0)])))
-    assert np.flatnonzero(jumps(turns, 100.0)).tolist() == [19, 20]
-    assert not jumps(turns, 50.0).any()
-    turns[19] = np.nan
-    assert not jumps(turns, 100.0).any()
+    rotations = exp(np.stack([np.zeros(50), np.linspace(0, 3, 50), np.zeros(50)], axis=1))
+    assert not jumps(rotations, 100.0).any()
+    rotations[20:] = multiply(rotations[20:], exp(np.array([0.0, 0.0, np.radians(40.0)])))
+    assert np.flatnonzero(jumps(rotations, 100.0)).tolist() == [19, 20]
+    assert not jumps(rotations, 50.0).any()
+    rotations[19] = np.nan
+    assert not jumps(rotations, 100.0).any()
 
 
 @pytest.mark.shared

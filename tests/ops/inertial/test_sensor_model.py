@@ -12,11 +12,11 @@ from kinedex.ops.inertial.sensor_model import (
     GRAVITY,
     centred_acceleration,
     field_in_sensor,
+    gyroscope_rates,
     magnetic_field,
     sensor_motion,
     specific_force,
-    turn_rates,
-    world_turn,
+    world_rotation,
 )
 
 pytest.importorskip("scipy")
@@ -48,14 +48,14 @@ def test_centred_differences_are_not_late_as_the_printed_ones() -> None:
 def test_a_local_turn_about_z_is_read_about_z() -> None:
     start = np.array([0.5, 0.5, 0.5, 0.5])
     q = multiply(start, exp(np.outer(np.arange(50) / RATE, [0.0, 0.0, 1.0])))
-    np.testing.assert_allclose(turn_rates(q, RATE)[1:], np.tile([0.0, 0.0, 1.0], (49, 1)), atol=1e-12)
+    np.testing.assert_allclose(gyroscope_rates(q, RATE)[1:], np.tile([0.0, 0.0, 1.0], (49, 1)), atol=1e-12)
     printed = 2 * RATE * multiply(q[1:], conjugate(q[:-1]))[:, 1:]  # Algorithm 5: in global axes
     np.testing.assert_allclose(printed, np.tile([1.0, 0.0, 0.0], (49, 1)), atol=1e-4)
 
 
 def test_integrated_rates_give_the_orientations_back() -> None:
     q = turning(np.arange(0, 20, 1 / RATE))
-    rates = turn_rates(q, RATE)
+    rates = gyroscope_rates(q, RATE)
     back = [q[0]]
     for rate in rates[1:]:
         back.append(multiply(back[-1], exp(rate / RATE)))
@@ -78,7 +78,7 @@ def test_the_filter_finds_the_orientations_that_the_readings_came_from() -> None
     pytest.importorskip("vqf")
     t, _, acceleration = circle(60.0)
     q = turning(t)
-    readings = specific_force(q, acceleration), turn_rates(q, RATE), field_in_sensor(q, magnetic_field())
+    readings = specific_force(q, acceleration), gyroscope_rates(q, RATE), field_in_sensor(q, magnetic_field())
     off = distance_deg(estimate(RATE, *readings), q)[200:-200]
     assert np.sqrt(np.mean(off**2)) == pytest.approx(1.92, abs=0.005)
 
@@ -91,7 +91,7 @@ def limb(rate_hz: float = 120.0, seconds: float = 6.0) -> tuple[np.ndarray, np.n
 def test_a_sensor_on_a_limb_moves_with_it() -> None:
     t, place, q = limb()
     at = np.arange(0.0, t[-1], 1 / RATE)
-    mount, world, lever = exp(np.array([0.2, -0.4, 0.9])), world_turn(30.0), np.array([0.03, 0.0, 0.02])
+    mount, world, lever = exp(np.array([0.2, -0.4, 0.9])), world_rotation(30.0), np.array([0.03, 0.0, 0.02])
     found = sensor_motion(t, place, q, at, world, mount, lever)
     truth = multiply(conjugate(world), multiply(turning(at), mount))
     inner = slice(50, -50)
@@ -112,9 +112,9 @@ def test_slow_takes_are_interpolated_without_smoothing() -> None:
 
 def test_heading_turns_the_horizon_and_leaves_the_vertical() -> None:
     for heading in (0.0, 90.0, -135.0):
-        q = world_turn(heading)
+        q = world_rotation(heading)
         np.testing.assert_allclose(rotate(q, np.array([0.0, 0, 1])), [0, 1, 0], atol=1e-12)
-        assert np.degrees(np.linalg.norm(log(multiply(conjugate(world_turn(0)), q)))) == pytest.approx(abs(heading))
+        assert np.degrees(np.linalg.norm(log(multiply(conjugate(world_rotation(0)), q)))) == pytest.approx(abs(heading))
 
 
 def test_wrong_input_is_named() -> None:

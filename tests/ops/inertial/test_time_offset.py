@@ -35,7 +35,7 @@ def speeds(offset: float, seed: int, seconds: float = 20.0, start: float = 0.0) 
 @settings(max_examples=8)
 @given(st.floats(-30, 30), st.integers(0, 100))
 def test_offsets_are_found_whatever_their_sign(offset: float, seed: int) -> None:
-    found = to.find([speeds(offset, seed), speeds(offset, seed + 1000)])
+    found = to.find_offset([speeds(offset, seed), speeds(offset, seed + 1000)])
     assert not found.refused
     assert found.offset_s == pytest.approx(offset, abs=0.0025)
     assert found.correlation > 0.95 > found.next_best
@@ -56,30 +56,30 @@ def test_a_take_with_errors_is_found_by_all_limbs_together() -> None:
     spoilt[200:500] = np.random.default_rng(1).uniform(0, 30, 300)
     spoilt[600] = 4000.0
     spoilt[650:660] = np.nan
-    found = to.find([limbs[0]._replace(take=spoilt), *limbs[1:]])
+    found = to.find_offset([limbs[0]._replace(take=spoilt), *limbs[1:]])
     assert found.offset_s == pytest.approx(0.7, abs=0.005)
 
 
 def test_stillness_gait_and_other_movements_are_refused() -> None:
     still = speeds(0.0, 1)
-    nothing = to.find([still._replace(take=np.zeros_like(still.take))])
+    nothing = to.find_offset([still._replace(take=np.zeros_like(still.take))])
     assert "overlap by less than 3 s of movement" in nothing.refused
     assert np.isnan(nothing.offset_s)
-    other = to.find([speeds(0.0, 1)._replace(sensor=speeds(0.0, 7).sensor)], longest_s=1.0)
+    other = to.find_offset([speeds(0.0, 1)._replace(sensor=speeds(0.0, 7).sensor)], longest_s=1.0)
     assert "is it the recording of this take" in other.refused
     times = np.arange(0, 20, 0.01)
     steps = 1.0 + np.sin(2 * np.pi * times)
     gait = to.Speeds(times, steps, times + 0.2, steps)
-    assert "`longest_s: <seconds>` excludes far ones" in to.find([gait]).refused
-    near = to.find([gait], longest_s=0.5)
+    assert "`longest_s: <seconds>` excludes far ones" in to.find_offset([gait]).refused
+    near = to.find_offset([gait], longest_s=0.5)
     assert not near.refused
     assert near.offset_s == pytest.approx(0.2, abs=0.001)
-    unknown = to.find([still._replace(sensor=np.full_like(still.sensor, np.nan))])
+    unknown = to.find_offset([still._replace(sensor=np.full_like(still.sensor, np.nan))])
     assert unknown.refused == "no limb has angular speeds of take and sensor"
-    assert to.find([speeds(0.0, 1, seconds=2.0)]).refused
+    assert to.find_offset([speeds(0.0, 1, seconds=2.0)]).refused
 
 
-def fine(offset: float, ppm: float = 0.0, seconds: float = 20.0, wrong: float = 0.0) -> to.Fine:
+def fine(offset: float, ppm: float = 0.0, seconds: float = 20.0, wrong: float = 0.0) -> to.FineSearch:
     """A limb at 40 Hz with a perfect sensor at 100 Hz, and a part of the track that is wrong."""
     take_times = np.arange(round(seconds * 40)) / 40.0
     sensor_times = np.arange(-2.0, seconds + 2.0, 0.01) + 0.003
@@ -87,15 +87,15 @@ def fine(offset: float, ppm: float = 0.0, seconds: float = 20.0, wrong: float = 
     count = int(wrong * len(at_take))
     at_take[100 : 100 + count] = r.multiply(at_take[100 : 100 + count], r.exp(np.array([0.0, 2.0, 1.0])))
     clock = sensor_times * (1.0 + 1e-6 * ppm) + offset
-    return to.Fine(take_times, at_take, clock, turning(sensor_times, 3))
+    return to.FineSearch(take_times, at_take, clock, turning(sensor_times, 3))
 
 
 @pytest.mark.parametrize("offset", [0.0834, -0.0621])
 def test_the_fine_search_is_right_to_a_tenth_of_a_millisecond(offset: float) -> None:
     limb = fine(offset, seconds=8.0, wrong=0.3)
-    assert to.refine([limb], 0.0) == pytest.approx(offset, abs=1e-4)
-    assert to.refine([limb._replace(predicted=np.empty((0, 4)))], 0.5) == 0.5
-    assert to.refine([limb], 90.0) == 90.0  # nothing overlaps
+    assert to.refine_offset([limb], 0.0) == pytest.approx(offset, abs=1e-4)
+    assert to.refine_offset([limb._replace(predicted=np.empty((0, 4)))], 0.5) == 0.5
+    assert to.refine_offset([limb], 90.0) == 90.0  # nothing overlaps
 
 
 def test_the_cost_of_an_offset_agrees_with_interpolated_frames() -> None:
@@ -129,6 +129,6 @@ def test_speeds_come_from_the_gyroscope_or_from_orientations() -> None:
 
 def test_no_limbs_and_a_longest_offset_of_nothing_are_refused() -> None:
     with pytest.raises(ParameterError, match="limbs must be one or more"):
-        to.find([])
+        to.find_offset([])
     with pytest.raises(ParameterError, match="longest_s must be positive"):
-        to.find([speeds(0, 1)], longest_s=0.0)
+        to.find_offset([speeds(0, 1)], longest_s=0.0)

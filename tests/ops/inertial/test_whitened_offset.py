@@ -8,12 +8,12 @@ import pytest
 from kinedex.ops.inertial import rotations as r
 from kinedex.ops.inertial import whitened_offset as wo
 from kinedex.ops.inertial.sensor_model import smooth_noise
-from kinedex.ops.inertial.time_offset import Fine, refine
+from kinedex.ops.inertial.time_offset import FineSearch, refine_offset
 from tests.ops.inertial.test_time_offset import fine
 from tests.oracles import inertial as naive
 
 
-def noisy(offset: float, seed: int, ppm: float = 0.0, seconds: float = 8.0, wrong: float = 0.0) -> Fine:
+def noisy(offset: float, seed: int, ppm: float = 0.0, seconds: float = 8.0, wrong: float = 0.0) -> FineSearch:
     """A limb whose track has smooth noise of 2°, whose heading is off by 1° and whose mount by 2°."""
     limb = fine(offset, ppm, seconds, wrong)
     noise = np.radians(2.0) / np.sqrt(3.0) * smooth_noise(len(limb.predicted), 40.0, 0.5, np.random.default_rng(seed))
@@ -25,7 +25,7 @@ def test_smooth_noise_does_not_move_the_clock() -> None:
     errors = []
     for seed in range(4):
         limbs = [noisy(0.0041, seed, wrong=0.2), noisy(0.0041, seed + 50)]
-        first = refine(limbs, 0.0)
+        first = refine_offset(limbs, 0.0)
         found, ppm = wo.whitened_offset(limbs, first)
         assert ppm == 0.0
         errors.append((1000 * abs(first - 0.0041), 1000 * abs(found - 0.0041)))
@@ -44,7 +44,7 @@ def test_the_first_offset_stays_where_nothing_determines_a_better_one() -> None:
     limb = noisy(0.0, 0)
     assert wo.whitened_offset([], 0.3, 5.0) == (0.3, 5.0)
     assert wo.whitened_offset([limb], 90.0) == (90.0, 0.0)  # nothing overlaps
-    still = Fine(limb.take_times, *(np.tile(one[:1], (len(one), 1)) for one in (limb.predicted,)), *limb[2:])
+    still = FineSearch(limb.take_times, *(np.tile(one[:1], (len(one), 1)) for one in (limb.predicted,)), *limb[2:])
     still = still._replace(sensor=np.tile(limb.sensor[:1], (len(limb.sensor), 1)))
     assert wo.whitened_offset([still], 0.3) == (0.3, 0.0)
     sparse = limb._replace(take_times=limb.take_times[::50], predicted=limb.predicted[::50])
@@ -56,7 +56,7 @@ def test_the_first_offset_stays_where_nothing_determines_a_better_one() -> None:
 
 def test_long_takes_are_compared_in_blocks(monkeypatch: pytest.MonkeyPatch) -> None:
     limb = noisy(0.0041, 3, seconds=60.0)
-    monkeypatch.setattr(wo, "MOST_FRAMES", 1000)
+    monkeypatch.setattr(wo, "MAX_FRAMES", 1000)
     monkeypatch.setattr(wo, "BLOCK", 100)
     assert len(wo._blocks(limb).take_times) == 1000
     assert wo.whitened_offset([limb], 0.0)[0] == pytest.approx(0.0041, abs=5e-4)

@@ -22,7 +22,7 @@ from kinedex.ops.ranges import from_axis
 from kinedex.ops.search.gaps import UNBOUNDED
 from kinedex.ops.search.inverted_lists import inverted_lists
 from kinedex.ops.search.keyframe_search import keyframe_list, search_lists
-from kinedex.ops.words import MOST_FEATURES, NO_WORD
+from kinedex.ops.words import MAX_FEATURES, NO_WORD
 from tests.oracles import learning as naive
 
 WORDS = st.one_of(st.integers(0, 15), st.integers(0, 15), st.just(int(NO_WORD)))
@@ -55,7 +55,7 @@ def retrieved(frames: TrainingFrames, query: Individual) -> np.ndarray:
 
 def by_search(clips: list[np.ndarray], query: Individual) -> list[bool]:
     """The general keyframe search, clip by clip."""
-    inverted = inverted_lists(np.concatenate(clips), np.cumsum([0, *map(len, clips)]), 1, MOST_FEATURES)
+    inverted = inverted_lists(np.concatenate(clips), np.cumsum([0, *map(len, clips)]), 1, MAX_FEATURES)
     lists = [
         keyframe_list(inverted, mask, value)
         for mask, value in zip(query.masks.tolist(), query.values.tolist(), strict=True)

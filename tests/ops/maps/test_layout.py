@@ -23,8 +23,8 @@ def test_points_that_are_alike_are_clusters_and_come_out_the_same_again() -> Non
     layout = map_layout(NUMBERS, progress=lambda done, total: seen.append((done, total)))
     assert seen == [(50 * (i + 1), 1000) for i in range(len(seen))]
     assert len(seen) > 2
-    assert (layout.places == map_layout(NUMBERS).places).all()
-    assert np.abs(layout.places).max() == pytest.approx(1, abs=0.02)
+    assert (layout.positions == map_layout(NUMBERS).positions).all()
+    assert np.abs(layout.positions).max() == pytest.approx(1, abs=0.02)
     clusters = map_clusters(layout)
     assert {(int(own), int(number)) for own, number in zip(OWN, clusters, strict=True) if number >= 0} == {
         (own, int(np.bincount(clusters[(own == OWN) & (clusters >= 0)]).argmax())) for own in range(GROUPS)
@@ -39,9 +39,9 @@ def test_of_many_points_the_rest_lies_beside_the_most_similar() -> None:
     assert layout.nearest[layout.chosen].tolist() == list(range(40))
     distances = ((NUMBERS[:, None] - NUMBERS[layout.chosen]) ** 2).sum(axis=2)
     assert (layout.nearest == distances.argmin(axis=1)).all()
-    beside = np.abs(layout.places - layout.places[layout.chosen][layout.nearest]).max()
+    beside = np.abs(layout.positions - layout.positions[layout.chosen][layout.nearest]).max()
     assert 0 < beside < 0.05
-    assert len(np.unique(layout.places, axis=0)) == len(NUMBERS)
+    assert len(np.unique(layout.positions, axis=0)) == len(NUMBERS)
     clusters = map_clusters(layout)
     assert (clusters == clusters[layout.chosen][layout.nearest]).all()
 
@@ -50,8 +50,8 @@ def test_of_many_points_the_rest_lies_beside_the_most_similar() -> None:
 def test_few_points_and_equal_points_have_a_map_too(count: int) -> None:
     for numbers in (NUMBERS[:count], np.zeros((3 * count, 8))):
         layout = map_layout(numbers)
-        assert np.isfinite(layout.places).all()
-        assert len(np.unique(layout.places, axis=0)) == len(numbers)
+        assert np.isfinite(layout.positions).all()
+        assert len(np.unique(layout.positions, axis=0)) == len(numbers)
         assert (map_clusters(layout) == -1).all() or len(numbers) >= 8
 
 

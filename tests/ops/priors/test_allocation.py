@@ -10,9 +10,9 @@ from hypothesis import strategies as st
 from kinedex.ops.distances.dtw import distance_curves
 from kinedex.ops.errors import ParameterError
 from kinedex.ops.priors.allocation import MotionHit, allocate, at_rate, find_hits, prior_rows
-from kinedex.ops.priors.archive_poses import Motion
+from kinedex.ops.priors.archive_poses import PriorMotion
 from kinedex.ops.priors.constraints import Mark
-from kinedex.ops.priors.stabilise import refuted_frames
+from kinedex.ops.priors.stabilisation import refuted_frames
 from kinedex.ops.templates.templates import QuantisedTemplate
 from tests.oracles import allocation as oracle
 
@@ -75,7 +75,7 @@ def test_hits_of_words_at_30_hz_cover_the_frames_of_a_recording_at_60_hz():
 
 
 def test_rows_are_runs_of_frames_with_priors_of_one_kind():
-    motion = Motion("step", patterned([1] * 6), None, (Mark("elbow_bent", "left", 2, 4),))
+    motion = PriorMotion("step", patterned([1] * 6), None, (Mark("elbow_bent", "left", 2, 4),))
     rows = prior_rows(allocate(FIGURE, 14, 0.13), [motion], {"pose": 2.0, "elbow_bent": 1.0}, 1, [0, 1])
     found = [(r.kind, r.side, r.hit, r.start, r.stop, r.first_column, r.last_column) for r in rows]
     assert found == [

@@ -7,7 +7,7 @@ import pytest
 
 from kinedex.ops.body.kinematic_chain import Poses
 from kinedex.ops.errors import ParameterError
-from kinedex.ops.priors.archive_poses import clip_frames, own_way, pose_table, relative_turns
+from kinedex.ops.priors.archive_poses import actor_deviation, clip_frames, pose_table, relative_rotations
 from kinedex.ops.templates.templates import Template
 from kinedex.ops.words import NO_WORD
 from tests.oracles import kinematic_chain as oracle
@@ -38,8 +38,8 @@ def test_a_clip_without_a_valid_word_is_refused(words: list[int]):
 
 def turned(angles: list[float]) -> Poses:
     """Two nodes that turn about Z by the same angles."""
-    turns = np.array([[exp([0, 0, a]), exp([0, 0, a])] for a in angles])
-    return Poses(np.zeros((len(angles), 3)), turns)
+    rotations = np.array([[exp([0, 0, a]), exp([0, 0, a])] for a in angles])
+    return Poses(np.zeros((len(angles), 3)), rotations)
 
 
 def test_the_table_has_mean_spread_and_tilt():
@@ -58,12 +58,12 @@ def test_the_own_way_follows_what_is_seen_in_full_after_half_a_second():
     for count, share in ((4, 0.0), (6, 6 / 15), (15, 1.0), (20, 1.0)):
         seen = np.zeros((20, 2), np.bool_)
         seen[:count, 0] = True
-        way = own_way(means, track, seen, 30.0)
-        np.testing.assert_allclose(way.turns, [exp([0, 0, 0.4 * share]), np.eye(3)], atol=1e-12)
+        way = actor_deviation(means, track, seen, 30.0)
+        np.testing.assert_allclose(way.rotations, [exp([0, 0, 0.4 * share]), np.eye(3)], atol=1e-12)
         left = np.nan if count < 5 else 0.4 * (1 - share)
         assert way.residuals[0, 2] == pytest.approx(left, nan_ok=True)
 
 
 def test_relative_turns_are_seen_from_the_mean():
     mean, turn = exp([0.3, 0.1, -0.2]), exp([0.1, 0.2, 0.3])
-    np.testing.assert_allclose(relative_turns(mean, mean @ turn), [0.1, 0.2, 0.3], atol=1e-12)
+    np.testing.assert_allclose(relative_rotations(mean, mean @ turn), [0.1, 0.2, 0.3], atol=1e-12)

@@ -67,7 +67,7 @@ def standing_poses(frames: int) -> Poses:
 
 def test_a_foot_on_the_ground_is_pulled_to_its_own_lowest_places():
     poses = standing_poses(11)
-    poses.places[:, 1] = np.arange(11) / 10
+    poses.positions[:, 1] = np.arange(11) / 10
     positions, _ = forward(BODY, poses)
     found = ground_pulls(BODY, positions, np.arange(11) == 7, "left")
     ankle, toes = CHAIN.joint("lankle"), CHAIN.joint("ltoes")
@@ -79,7 +79,7 @@ def test_a_foot_on_the_ground_is_pulled_to_its_own_lowest_places():
 
 def test_a_hand_that_lags_is_pulled_the_rest_of_its_way_along_the_forward_direction():
     poses = standing_poses(3)
-    poses.turns[:, 0] = exp([0, np.pi / 2, 0])  # facing +X
+    poses.rotations[:, 0] = exp([0, np.pi / 2, 0])  # facing +X
     positions, _ = forward(BODY, poses)
     wrist, speed = CHAIN.joint("rwrist"), 1.3 * 0.28 / 30
     positions[wrist, 0, 1:] += 0.004
@@ -94,7 +94,7 @@ def test_a_hand_that_lags_is_pulled_the_rest_of_its_way_along_the_forward_direct
 def test_an_elbow_that_is_less_bent_is_pulled_to_60_degrees(side: str, sign: float):
     poses = standing_poses(3)
     node = CHAIN.nodes.index(side[0] + "elbow")
-    poses.turns[1, node], poses.turns[2, node] = exp([0, sign * 0.9, 0]), exp([0, sign * 1.2, 0])
+    poses.rotations[1, node], poses.rotations[2, node] = exp([0, sign * 0.9, 0]), exp([0, sign * 1.2, 0])
     found, straight, target = straight_elbow(BODY, poses, np.array([False, True, True]), side)  # type: ignore[arg-type]
     assert (found, straight.tolist()) == (node, [False, True, False])
     np.testing.assert_allclose(target, exp([0, sign * np.pi / 3, 0]), atol=1e-12)

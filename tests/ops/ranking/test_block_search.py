@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from kinedex.ops.distances.costs import encode
 from kinedex.ops.distances.pruning import coarse_bounds
 from kinedex.ops.distances.sweep import BLOCK
-from kinedex.ops.ranking import ranking
+from kinedex.ops.ranking import best_hits
 from kinedex.ops.ranking.block_search import gather_blocks
 from kinedex.ops.words import TakeWords
 from tests.ops.distances.test_dtw import as_words_with_gaps, feature_weights, quantised, takes_with_gaps, templates
@@ -28,11 +28,11 @@ def test_the_first_hits_of_blocks_are_those_of_the_naive_twin(
 ):
     offsets = np.concatenate(([0], np.cumsum([len(take) for take in takes]))).astype(np.int64)
     laid = np.concatenate([np.empty(0, np.uint64), *(as_words_with_gaps(take) for take in takes)])
-    archive = ranking._archive(TakeWords(np.arange(len(takes)), offsets, laid), None, None, None)
+    archive = best_hits._archive(TakeWords(np.arange(len(takes)), offsets, laid), None, None, None)
     one = quantised(template)
     made_for = threshold * data.draw(st.sampled_from([1.0, 2.0]))
     (coarse,) = coarse_bounds([one], archive.coded, np.array([made_for]), archive.ranges)
-    hits = ranking._best_below(one, archive, threshold, most, coarse)
+    hits = best_hits._best_below(one, archive, threshold, most, coarse)
     expected = naive.ranked(template, takes, threshold)[:most]
     assert list(zip(hits.takes.tolist(), hits.starts.tolist(), hits.stops.tolist(), strict=True)) == [
         found[:3] for found in expected
@@ -55,11 +55,11 @@ def test_the_first_hits_of_blocks_are_the_first_of_all_hits_within_ranges_and_in
     own = np.array(cuts, np.int64).reshape(2, 2)
     ranges = np.concatenate([own + edge for edge in edges[:-1]])
     order = np.array(data.draw(st.permutations(range(3))), np.int64)
-    archive = ranking._archive(TakeWords(np.arange(3), edges, words), ranges, None, order)
+    archive = best_hits._archive(TakeWords(np.arange(3), edges, words), ranges, None, order)
     one = quantised(template, weights)
     (coarse,) = coarse_bounds([one], archive.coded, np.array([threshold]), archive.ranges)
-    first = ranking._best_below(one, archive, threshold, most, coarse)
-    every = ranking._all_below(one, archive, threshold, None, coarse)
+    first = best_hits._best_below(one, archive, threshold, most, coarse)
+    every = best_hits._all_below(one, archive, threshold, None, coarse)
     for name in ("takes", "starts", "stops", "costs"):
         np.testing.assert_array_equal(getattr(first, name), getattr(every, name)[:most])
     assert first.frames == every.frames
@@ -97,10 +97,10 @@ def test_a_motionless_take_is_computed_in_short_windows_whose_minima_know_their_
     still[rng.integers(0, 400, 60)] ^= np.uint64(2)
     words = TakeWords(np.arange(1), np.array([0, 400]), still)
     one = quantised([[1, 1, 0, 1], [1, 0, 0, 1], [1, 1, 0, 1], [1, None, 0, 1]])
-    archive = ranking._archive(words, None, encode(still), None)
+    archive = best_hits._archive(words, None, encode(still), None)
     (coarse,) = coarse_bounds([one], archive.coded, np.array([0.2]), archive.ranges)
-    first = ranking._best_below(one, archive, 0.2, 200, coarse)
-    every = ranking.rank(one, words, 0.2)
+    first = best_hits._best_below(one, archive, 0.2, 200, coarse)
+    every = best_hits.rank(one, words, 0.2)
     assert 100 < len(every) < 200
     for name in ("takes", "starts", "stops", "costs"):
         np.testing.assert_array_equal(getattr(first, name), getattr(every, name))

@@ -10,13 +10,13 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from kinedex.ops.errors import ParameterError
-from kinedex.ops.search.inverted_lists import MOST_COUNTED, InvertedLists, inverted_lists
+from kinedex.ops.search.inverted_lists import MAX_COUNTED, InvertedLists, inverted_lists
 from kinedex.ops.words import NO_WORD, cut
 from tests.oracles import runs as naive
 
 WORDS = st.sampled_from([0, 1, 2, 3, 2**13, 2**25, 2**39 | 5, 2**62, int(NO_WORD)])
 TAKES = st.lists(st.lists(WORDS, max_size=12), max_size=5)
-SETS = st.sampled_from([(1, 14), (15, 12), (27, 14), (3, 1), (1, MOST_COUNTED), (2, MOST_COUNTED + 1), (1, 63)])
+SETS = st.sampled_from([(1, 14), (15, 12), (27, 14), (3, 1), (1, MAX_COUNTED), (2, MAX_COUNTED + 1), (1, 63)])
 
 
 def lists_of(takes: list[list[int]], first: int, count: int) -> InvertedLists:

@@ -16,7 +16,7 @@ from kinedex.ops.ranges import from_axis, to_axis
 from kinedex.ops.search.gaps import UNBOUNDED, gap_bounds, nominal_gap
 from kinedex.ops.search.inverted_lists import InvertedLists, inverted_lists
 from kinedex.ops.search.keyframe_search import completable_frames, keyframe_list, search_lists
-from kinedex.ops.words import I64, MOST_FEATURES, U64, cut
+from kinedex.ops.words import I64, MAX_FEATURES, U64, cut
 from tests.oracles.keyframes import algorithm_1, all_hits, covered, ranges_by_enumeration, ranges_by_sets
 
 EXAMPLE = ([(3, 4), (6, 7)], [(1, 2), (4, 6), (9, 10)], [(1, 3), (5, 8), (11, 12), (14, 15)])
@@ -33,7 +33,7 @@ def pairs_of(found: I64) -> list[tuple[int, int]]:
 
 
 def lists_of(takes: list[U64]) -> InvertedLists:
-    return inverted_lists(np.concatenate(takes), np.cumsum([0, *map(len, takes)]), 1, MOST_FEATURES)
+    return inverted_lists(np.concatenate(takes), np.cumsum([0, *map(len, takes)]), 1, MAX_FEATURES)
 
 
 def by_take(found: I64, takes: int) -> list[list[tuple[int, int]]]:

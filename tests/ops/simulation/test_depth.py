@@ -13,7 +13,7 @@ from PIL import Image
 from kinedex.ops.body.joint_tree import JOINTS
 from kinedex.ops.simulation.depth_rays import ConeRays, cone_ends, draw_surface, facing
 from kinedex.ops.simulation.depth_scene import CameraPlace, DepthScene, on_floor, place_camera
-from kinedex.ops.simulation.depth_sensors import BASELINE_M, SENSORS, DepthSensor, Disturbance, measured
+from kinedex.ops.simulation.depth_sensors import BASELINE_M, SENSORS, DepthSensor, ExtraErrors, measured
 from tests.bodies import STANDING
 from tests.ops.simulation.cone_table import table_flesh
 from tests.oracles.naive_rays import naive_depth, naive_shadow
@@ -83,15 +83,15 @@ def test_bounds_change_no_depth_of_a_naive_ray_marcher(waves_m: float, folds_m: 
 def test_noise_has_the_deviation_of_each_sensor() -> None:
     flat = np.full((288, 320), 3.0)
     nothing = np.zeros(flat.shape, bool)
-    flight = measured(SENSORS["tof"], flat, nothing, nothing, Disturbance(), np.random.default_rng(0))
+    flight = measured(SENSORS["tof"], flat, nothing, nothing, ExtraErrors(), np.random.default_rng(0))
     assert flight.std() == pytest.approx(1000 * (0.004 + 0.0015 * 9), rel=0.02)
     assert (flight > 0).all()
-    pattern = measured(SENSORS["structured"], flat[:240], nothing[:240], nothing[:240], Disturbance(),
+    pattern = measured(SENSORS["structured"], flat[:240], nothing[:240], nothing[:240], ExtraErrors(),
                        np.random.default_rng(0))  # fmt: skip
     assert (pattern == 0).mean() == pytest.approx(0.001, abs=0.0005)
     steps = np.diff(np.unique(pattern[pattern > 0]))
     assert steps.mean() == pytest.approx(25.9, abs=1.0)
-    dark = Disturbance(noise=2.0, correlation=0.5, dropouts=0.1)
+    dark = ExtraErrors(noise=2.0, correlation=0.5, dropouts=0.1)
     worse = measured(SENSORS["tof"], flat, ~nothing, nothing, dark, np.random.default_rng(0))
     assert (worse == 0).mean() == pytest.approx(0.1, abs=0.01)
     assert worse[worse > 0].std() == pytest.approx(2000 * (0.004 + 0.0015 * 9), rel=0.02)
@@ -102,11 +102,11 @@ def test_half_of_the_edge_pixels_fly_and_a_third_are_holes_of_structured_light()
     nothing = np.zeros(step.shape, bool)
     edge = np.zeros(step.shape, bool)
     edge[:, 159:161] = True
-    flight = measured(SENSORS["tof"], step, nothing, nothing, Disturbance(), np.random.default_rng(0)) / 1000
+    flight = measured(SENSORS["tof"], step, nothing, nothing, ExtraErrors(), np.random.default_rng(0)) / 1000
     flying = (flight > 2.1) & (flight < 2.9)
     assert not flying[~edge].any()
     assert flying[edge].mean() == pytest.approx(0.5 * 0.8, abs=0.05)
-    pattern = measured(SENSORS["structured"], step[:240], nothing[:240], nothing[:240], Disturbance(),
+    pattern = measured(SENSORS["structured"], step[:240], nothing[:240], nothing[:240], ExtraErrors(),
                        np.random.default_rng(0))  # fmt: skip
     assert (pattern[edge[:240]] == 0).mean() == pytest.approx(0.3, abs=0.05)
 
@@ -164,7 +164,7 @@ def test_recordings_of_the_design_have_our_cameras_and_statistics(shared: Path, 
 
 def filmed(sensor: DepthSensor, joints: np.ndarray, place: CameraPlace, frames: range) -> tuple[np.ndarray, np.ndarray]:
     generator = np.random.default_rng(1)
-    scene = DepthScene(sensor, table_flesh((0.88, 1.18), 0.004), Disturbance(), joints, 1.63, place, generator)
+    scene = DepthScene(sensor, table_flesh((0.88, 1.18), 0.004), ExtraErrors(), joints, 1.63, place, generator)
     background = scene.background().astype(float)
     return np.array([scene.frame(frame) for frame in frames], float), background
 

@@ -20,7 +20,7 @@ from kinedex.ops.simulation.recording import (
     Setup,
     detected_keypoints,
     draw_failures,
-    keypoint_places,
+    keypoint_positions,
     outside_hidden,
     ring_of_cameras,
     simulated_recording,
@@ -82,9 +82,9 @@ def test_noise_confidence_and_outliers_have_the_sizes_they_are_given() -> None:
 
 def test_what_no_image_shows_is_hidden() -> None:
     pixels = np.array([[[[-1.0, 5.0], [5.0, 5.0], [640.0, 5.0], [np.nan, np.nan]]]])
-    places, confidence = outside_hidden(pixels, np.ones((1, 1, 4)), (640, 480))
+    positions, confidence = outside_hidden(pixels, np.ones((1, 1, 4)), (640, 480))
     assert confidence[0, 0].tolist() == [0, 1, 0, 0]
-    assert places[0, 0].tolist() == [[0, 0], [5, 5], [0, 0], [0, 0]]
+    assert positions[0, 0].tolist() == [[0, 0], [5, 5], [0, 0], [0, 0]]
 
 
 def test_failures_have_the_number_and_the_length_asked_for() -> None:
@@ -152,11 +152,11 @@ def test_a_recording_shows_the_joints_where_they_are_and_comes_again_from_its_se
 
 def test_keypoints_that_are_no_joints_are_carried_by_their_node() -> None:
     body = measured_body(CHAIN, STILL)
-    turns = np.tile(np.eye(3), (1, len(CHAIN.nodes), 1, 1))
-    turns[0, 0] = [[0, 0, 1], [0, 1, 0], [-1, 0, 0]]  # faces +X
-    positions, _ = forward(body, Poses(np.array([[0.0, 1.0, 0.0]]), turns))
+    rotations = np.tile(np.eye(3), (1, len(CHAIN.nodes), 1, 1))
+    rotations[0, 0] = [[0, 0, 1], [0, 1, 0], [-1, 0, 0]]  # faces +X
+    positions, _ = forward(body, Poses(np.array([[0.0, 1.0, 0.0]]), rotations))
     nose = BodyPoints(np.array([CHAIN.nodes.index("neck")]), np.array([[0.0, 0.06, 0.12]]), np.array([-1]))
-    (place,) = keypoint_places(body, positions, nose, np.zeros((1, 3)))[0]
+    (place,) = keypoint_positions(body, positions, nose, np.zeros((1, 3)))[0]
     assert place - positions[CHAIN.joint("neck"), :, 0] == pytest.approx([0.12, 0.06, 0.0], abs=5e-3)
 
 

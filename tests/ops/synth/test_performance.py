@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from kinedex.ops.errors import ParameterError
-from kinedex.ops.synth.body import actor_name, cast
+from kinedex.ops.synth.body import actor_name, draw_actor
 from kinedex.ops.synth.performance import MOTIONS, RATE_HZ, perform_clip, perform_take
 from tests.ops.synth.bodies import places
 
@@ -14,7 +14,7 @@ SEED = 5
 
 
 def test_the_same_seed_gives_the_same_motion_and_another_one_another() -> None:
-    actor = cast(1, SEED)
+    actor = draw_actor(1, SEED)
     first, again, other = (perform_clip(actor, "squat1Reps", 0, seed) for seed in (SEED, SEED, SEED + 1))
     assert first.angles.tobytes() == again.angles.tobytes()
     assert first.angles.tobytes() != other.angles.tobytes()
@@ -22,7 +22,7 @@ def test_the_same_seed_gives_the_same_motion_and_another_one_another() -> None:
 
 
 def test_actors_differ_in_size_tempo_and_range() -> None:
-    actors = [cast(number, SEED) for number in range(5)]
+    actors = [draw_actor(number, SEED) for number in range(5)]
     assert len({actor.name for actor in actors}) == 5
     for spread in (
         [actor.body.leg for actor in actors],
@@ -36,7 +36,7 @@ def test_actors_differ_in_size_tempo_and_range() -> None:
 
 @pytest.mark.parametrize("name", [motion.name for motion in MOTIONS])
 def test_a_clip_is_labelled_from_end_to_end_and_stays_above_the_floor(name: str) -> None:
-    actor = cast(2, SEED)
+    actor = draw_actor(2, SEED)
     performance = perform_clip(actor, name, 0, SEED)
     assert 0.3 * RATE_HZ < len(performance.angles) < 8 * RATE_HZ
     (label,) = performance.labels
@@ -60,13 +60,13 @@ def test_a_clip_is_labelled_from_end_to_end_and_stays_above_the_floor(name: str)
     ],
 )
 def test_a_motion_does_what_its_name_says(name: str, what: object) -> None:
-    actor = cast(0, SEED)
+    actor = draw_actor(0, SEED)
     assert callable(what)
     assert what(places(actor.body, perform_clip(actor, name, 1, SEED).angles[::6]))
 
 
 def test_a_take_is_labelled_in_order_without_overlap_and_moves_at_human_speed() -> None:
-    actor = cast(3, SEED)
+    actor = draw_actor(3, SEED)
     take = perform_take(actor, 25.0, 0, SEED)
     assert len(take.angles) >= 25.0 * RATE_HZ
     assert len(take.labels) >= 4
@@ -81,7 +81,7 @@ def test_a_take_is_labelled_in_order_without_overlap_and_moves_at_human_speed() 
 
 
 def test_feet_on_the_floor_do_not_slide() -> None:
-    actor = cast(0, SEED)
+    actor = draw_actor(0, SEED)
     clip = perform_clip(actor, "walk4StepsLstart", 0, SEED)
     found = places(actor.body, clip.angles)
     for side in "lr":
@@ -94,6 +94,6 @@ def test_feet_on_the_floor_do_not_slide() -> None:
 
 def test_unknown_motions_and_empty_takes_are_refused() -> None:
     with pytest.raises(ParameterError, match="motion must be one of walk"):
-        perform_clip(cast(0, SEED), "fly", 0, SEED)
+        perform_clip(draw_actor(0, SEED), "fly", 0, SEED)
     with pytest.raises(ParameterError, match="seconds must be above 0"):
-        perform_take(cast(0, SEED), 0.0, 0, SEED)
+        perform_take(draw_actor(0, SEED), 0.0, 0, SEED)

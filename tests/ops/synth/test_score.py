@@ -6,13 +6,13 @@ import numpy as np
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from kinedex.ops.synth.body import cast
+from kinedex.ops.synth.body import draw_actor
 from kinedex.ops.synth.performance import coloured
 from kinedex.ops.synth.score import INDEX, Score, curves
 
 
 def blank() -> Score:
-    score = Score(cast(0, 1), np.random.default_rng(0))
+    score = Score(draw_actor(0, 1), np.random.default_rng(0))
     score.manner, score.late = {}, {}
     return score
 

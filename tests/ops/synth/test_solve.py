@@ -5,12 +5,12 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from kinedex.ops.synth.body import BALL_HEIGHT, PARENTS, cast
+from kinedex.ops.synth.body import BALL_HEIGHT, PARENTS, draw_actor
 from kinedex.ops.synth.score import CHANNELS, INDEX
 from kinedex.ops.synth.solve import columns, solve
 from tests.ops.synth.bodies import places
 
-BODY = cast(0, 1).body
+BODY = draw_actor(0, 1).body
 
 
 def channels(frames: int = 3, **values: float) -> np.ndarray:

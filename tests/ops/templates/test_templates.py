@@ -90,7 +90,7 @@ def test_a_large_class_equals_the_naive_twin(
 ):
     clips, actors = many
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(templates, "MOST_AVERAGED", most)
+        patch.setattr(templates, "MAX_AVERAGED", most)
         patch.setattr(templates, "REFERENCES", references)
         learned = learn(kind, [as_words(clip) for clip in clips], len(clips[0][0]), actors=actors)
         again = learn(kind, [as_words(clip) for clip in clips], len(clips[0][0]), pieces=3, actors=actors)

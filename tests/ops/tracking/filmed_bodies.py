@@ -47,7 +47,7 @@ def moving_poses(frames: int, seed: int = 1, size: float = 0.35) -> Poses:
     """Poses that swing slowly and smoothly, with hinges that bend their way, at 30 Hz."""
     random = np.random.default_rng(seed)
     moments = np.arange(frames) / 30.0
-    turns = np.tile(np.eye(3), (frames, len(CHAIN.nodes), 1, 1))
+    rotations = np.tile(np.eye(3), (frames, len(CHAIN.nodes), 1, 1))
     vectors = np.zeros((frames, len(CHAIN.nodes), 3))
     for axis in CHAIN.axes:
         phase, rate, most = random.uniform(0, 6.28), random.uniform(0.1, 0.5), random.uniform(0.3, 1) * size
@@ -58,9 +58,9 @@ def moving_poses(frames: int, seed: int = 1, size: float = 0.35) -> Poses:
             swing = 0.5 + swing
         vectors[:, axis.node, axis.direction] = axis.sign * swing
     for t in range(frames):
-        turns[t] = [oracle.exp(vector) for vector in vectors[t]]
-    places = np.stack([0.4 * np.sin(moments), 0.95 + 0.03 * np.cos(3 * moments), 0.3 * moments], axis=1)
-    return Poses(places, turns)
+        rotations[t] = [oracle.exp(vector) for vector in vectors[t]]
+    positions = np.stack([0.4 * np.sin(moments), 0.95 + 0.03 * np.cos(3 * moments), 0.3 * moments], axis=1)
+    return Poses(positions, rotations)
 
 
 def filmed(poses: Poses, points: BodyPoints, noise: float = 0.0, seed: int = 0, cameras: int = 4) -> Rays:
@@ -68,10 +68,11 @@ def filmed(poses: Poses, points: BodyPoints, noise: float = 0.0, seed: int = 0, 
     random = np.random.default_rng(seed)
     angles = 0.3 + 2 * np.pi * np.arange(cameras) / cameras
     centres = np.stack([4 * np.sin(angles), np.full(cameras, 2.2), 4 * np.cos(angles)], axis=1)
-    places = np.stack([
-        body_points(BODY, points, place, turns) for place, turns in zip(poses.places, poses.turns, strict=True)
+    positions = np.stack([
+        body_points(BODY, points, place, rotations) for place, rotations in zip(poses.positions, poses.rotations,
+        strict=True)
     ])  # fmt: skip
-    ways = places[:, None] - centres[None, :, None]
+    ways = positions[:, None] - centres[None, :, None]
     ways /= np.sqrt((ways**2).sum(axis=3, keepdims=True))
     ways += random.normal(0, noise, ways.shape)
     ways /= np.sqrt((ways**2).sum(axis=3, keepdims=True))

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from kinedex.ops.arrays import F64
 from kinedex.ops.body.capsules import Capsules
 from kinedex.ops.errors import ParameterError
-from kinedex.ops.tracking.contours import add_contours, contour_normals, contour_room, contour_sums, find_contours
+from kinedex.ops.tracking.contours import add_contours, contour_buffers, contour_normals, contour_sums, find_contours
 from kinedex.ops.tracking.views import View, camera_view, mask_pixel, render_mask
 from tests.ops.tracking.scene import CAPSULES, JOINTS, cameras, looking_at
 from tests.oracles import contours as oracle
@@ -67,7 +67,7 @@ def test_a_camera_inside_the_cylinder_sees_no_contour() -> None:
 @pytest.mark.parametrize("share", [1, 2])
 def test_contours_of_the_true_pose_lie_on_the_boundary(share: int, distortion: tuple[float, ...]) -> None:
     for view in cameras(2, share=share, distortion=distortion):
-        found = contour_room(CAPSULES, POSE)
+        found = contour_buffers(CAPSULES, POSE)
         count, visible = find_contours(view, mask_of(POSE, view), POSE, CAPSULES, found)
         assert count > 100
         assert count == visible
@@ -86,7 +86,7 @@ def test_the_boundary_of_a_probability_is_a_half() -> None:
     column, _ = mask_pixel(view, *(view.rotation @ POSE[0] + view.translation)[:2] / 4.7)
     ramp = np.clip(127.5 - 4 * (np.arange(640) - column - 30), 0, 255)
     mask = constant(np.broadcast_to(ramp, (480, 640)).astype(np.uint8, order="C"))
-    found = contour_room(CAPSULES, POSE)
+    found = contour_buffers(CAPSULES, POSE)
     count, _ = find_contours(view, mask, POSE, CAPSULES, found)
     assert count > 30
     seen = found.directions[:count] @ view.rotation.T
@@ -96,7 +96,7 @@ def test_the_boundary_of_a_probability_is_a_half() -> None:
 
 def test_masks_without_a_boundary_within_reach_give_nothing() -> None:
     (view,) = cameras(1)
-    found = contour_room(CAPSULES, POSE)
+    found = contour_buffers(CAPSULES, POSE)
     mask = mask_of(POSE, view)
     for empty in (np.zeros_like(mask), np.full_like(mask, 255), np.roll(mask, 200, axis=1)):
         assert find_contours(view, constant(empty), POSE, CAPSULES, found)[0] == 0
@@ -107,7 +107,7 @@ def test_masks_without_a_boundary_within_reach_give_nothing() -> None:
 def test_the_sums_of_a_camera_are_the_squares_of_its_correspondences() -> None:
     (view,) = cameras(1)
     moved = POSE + np.array([-0.016, 0.0, 0.037])  # across the view
-    found = contour_room(CAPSULES, POSE)
+    found = contour_buffers(CAPSULES, POSE)
     count, _ = find_contours(view, mask_of(POSE, view), moved, CAPSULES, found)
     sums = contour_sums(CAPSULES, len(POSE))
     cost = add_contours(view, found, count, sums)

@@ -15,8 +15,8 @@ from kinedex.ops.body.pose_fit import measured_body
 from kinedex.ops.errors import ParameterError
 from kinedex.ops.tracking.contours import Observed
 from kinedex.ops.tracking.first_track import find_start, first_track
-from kinedex.ops.tracking.observations import BodyPoints, Places, Rays
-from kinedex.ops.tracking.triangulation import filled, start_from_places, start_from_triangulation, triangulate
+from kinedex.ops.tracking.observations import BodyPoints, JointPositions, Rays
+from kinedex.ops.tracking.triangulation import filled, start_from_positions, start_from_triangulation, triangulate
 from kinedex.ops.tracking.trust import interpolated, restart, trust
 from tests.ops.tracking.filmed_bodies import BODY, CHAIN, LIMBS, filmed, joint_places, keypoints, moving_poses
 from tests.oracles.kinematic_chain import exp, log
@@ -64,9 +64,9 @@ def test_no_point_where_cameras_do_not_meet_or_stand_in_one_place() -> None:
 
 
 def test_gaps_are_filled_linearly_and_ends_held() -> None:
-    places = np.full((6, 3), np.nan)
-    places[1], places[4] = [0, 1, 2], [3, 4, 5]
-    np.testing.assert_allclose(filled(places), np.array([0, 0, 1, 2, 3, 3])[:, None] + [0, 1, 2])
+    positions = np.full((6, 3), np.nan)
+    positions[1], positions[4] = [0, 1, 2], [3, 4, 5]
+    np.testing.assert_allclose(filled(positions), np.array([0, 0, 1, 2, 3, 3])[:, None] + [0, 1, 2])
     assert np.isnan(filled(np.full((2, 3), np.nan))).all()
 
 
@@ -75,9 +75,9 @@ def test_the_start_is_near_the_body() -> None:
     points, _ = triangulate(filmed(poses, POINTS))
     start = joint_places(start_from_triangulation(BODY, points, POINTS))
     assert np.sqrt(((start - joint_places(poses)) ** 2).sum(axis=2))[:, LIMBS].mean() < 0.03
-    observed = Places(joint_places(poses), np.full((4, 24), 0.02))
-    observed.places[1, 3], observed.places[:, CHAIN.joint("headtop")] = np.nan, np.nan
-    again = joint_places(start_from_places(BODY, observed))
+    observed = JointPositions(joint_places(poses), np.full((4, 24), 0.02))
+    observed.positions[1, 3], observed.positions[:, CHAIN.joint("headtop")] = np.nan, np.nan
+    again = joint_places(start_from_positions(BODY, observed))
     assert np.sqrt(((again - joint_places(poses)) ** 2).sum(axis=2))[:, LIMBS].mean() < 0.03
 
 
@@ -121,8 +121,8 @@ def test_toes_that_no_keypoint_shows_do_not_count() -> None:
     rays.confidence[:, :, keypoint("ltoes")] = 0.0
     seen = trust(BODY, rays, POINTS, poses).nodes_seen
     assert CHAIN.nodes[int(np.flatnonzero(~seen[0])[0])] == "lankle"
-    track = Places(joint_places(poses), np.full((1, 24), 0.02))
-    track.places[0, CHAIN.joint("rwrist")] += 1.0
+    track = JointPositions(joint_places(poses), np.full((1, 24), 0.02))
+    track.positions[0, CHAIN.joint("rwrist")] += 1.0
     seen = trust(BODY, track, None, poses).nodes_seen
     assert [CHAIN.nodes[k] for k in np.flatnonzero(~seen[0])] == ["rshoulder", "relbow", "rwrist"]
 
@@ -134,14 +134,14 @@ def test_a_restart_interpolates_what_is_not_seen() -> None:
     seen[0, HIPS[0]] = False  # the other hip is seen: the pelvis stays
     seen[3:, HIPS] = False
     found = restart(BODY, poses, seen)
-    first, last = poses.turns[0, ELBOW], poses.turns[4, ELBOW]
-    np.testing.assert_allclose(found.turns[2, ELBOW], first @ exp(0.5 * log(first.T @ last)), atol=1e-12)
-    np.testing.assert_array_equal(found.turns[:3, 0], poses.turns[:3, 0])
-    np.testing.assert_array_equal(found.turns[4, 0], poses.turns[2, 0])
-    np.testing.assert_array_equal(found.places[3:], poses.places[[2, 2]])
-    np.testing.assert_array_equal(found.turns[0, HIPS[0]], poses.turns[1, HIPS[0]])
+    first, last = poses.rotations[0, ELBOW], poses.rotations[4, ELBOW]
+    np.testing.assert_allclose(found.rotations[2, ELBOW], first @ exp(0.5 * log(first.T @ last)), atol=1e-12)
+    np.testing.assert_array_equal(found.rotations[:3, 0], poses.rotations[:3, 0])
+    np.testing.assert_array_equal(found.rotations[4, 0], poses.rotations[2, 0])
+    np.testing.assert_array_equal(found.positions[3:], poses.positions[[2, 2]])
+    np.testing.assert_array_equal(found.rotations[0, HIPS[0]], poses.rotations[1, HIPS[0]])
     nowhere = interpolated(poses, np.zeros((5, 20), np.bool_))
-    np.testing.assert_array_equal(nowhere.turns, poses.turns)
+    np.testing.assert_array_equal(nowhere.rotations, poses.rotations)
 
 
 @slow_as_python

@@ -11,7 +11,7 @@ from kinedex.ops.errors import ParameterError
 from kinedex.ops.tracking import frame_tracker as module
 from kinedex.ops.tracking.contours import ContourSums, Observed, Silhouettes
 from kinedex.ops.tracking.frame_tracker import FrameTrack, track_frames
-from kinedex.ops.tracking.observations import BodyPoints, Places, PriorTerms, Rays, no_priors
+from kinedex.ops.tracking.observations import BodyPoints, JointPositions, PriorTerms, Rays, no_priors
 from kinedex.ops.tracking.views import render_mask
 from tests.ops.tracking.scene import BODY, CAPSULES, CHAIN, JOINTS, cameras
 from tests.plain_python import slow_as_python
@@ -24,13 +24,13 @@ START = fit_poses(BODY, JOINTS)
 
 def motion() -> Poses:
     """Return poses in which the figure walks 3 cm a frame, lifts its left leg and bends its right elbow."""
-    turns = np.repeat(START.turns, FRAMES, axis=0)
+    rotations = np.repeat(START.rotations, FRAMES, axis=0)
     for t in range(FRAMES):
         for node, vector in {"lhip": (-0.08, 0, 0), "lknee": (0.12, 0, 0), "relbow": (0, 0.1, 0)}.items():
             k = CHAIN.nodes.index(node)
-            turns[t, k] = turns[t, k] @ rotation_of(t * np.array(vector, float))
-    places = START.places + np.arange(FRAMES)[:, None] * np.array([0.02, 0.0, 0.02])
-    return Poses(places, turns)
+            rotations[t, k] = rotations[t, k] @ rotation_of(t * np.array(vector, float))
+    positions = START.positions + np.arange(FRAMES)[:, None] * np.array([0.02, 0.0, 0.02])
+    return Poses(positions, rotations)
 
 
 TRUTH = np.ascontiguousarray(forward(BODY, motion())[0].transpose(2, 0, 1))
@@ -63,10 +63,10 @@ def test_rays_without_noise_give_the_joints_back() -> None:
 
 
 def test_places_of_joints_are_followed_through_gaps() -> None:
-    places = TRUTH.copy()
-    places[2, CHAIN.joint("lknee")] = np.nan
-    places[3] = np.nan
-    track = track_frames(Observed(BODY, 30.0, Places(places, np.full(places.shape[:2], 0.002))))
+    positions = TRUTH.copy()
+    positions[2, CHAIN.joint("lknee")] = np.nan
+    positions[3] = np.nan
+    track = track_frames(Observed(BODY, 30.0, JointPositions(positions, np.full(positions.shape[:2], 0.002))))
     assert apart(track)[[0, 1, 2, 4]].max() < 2e-3
     assert track.lost.tolist() == [False, False, False, True, False]
     np.testing.assert_array_equal(track.positions[3], track.positions[2])
@@ -95,7 +95,7 @@ def test_rays_and_silhouettes_complete_each_other() -> None:
 
 @slow_as_python
 def test_a_body_out_of_sight_keeps_its_pose_and_is_found_at_the_centroids() -> None:
-    away = Poses(motion().places + np.array([1.3, 0.0, 0.6]), motion().turns)
+    away = Poses(motion().positions + np.array([1.3, 0.0, 0.6]), motion().rotations)
     joints = np.ascontiguousarray(forward(BODY, away)[0].transpose(2, 0, 1))[3:]
     there = tuple(render_mask(CAPSULES, joints[0], view).view(np.uint8) * np.uint8(255) for view in VIEWS)
     masks = [MASKS[0], NOTHING, there, there, there]
@@ -108,9 +108,9 @@ def test_a_body_out_of_sight_keeps_its_pose_and_is_found_at_the_centroids() -> N
 
 
 def test_a_jump_that_no_body_makes_is_lost_until_there_was_time_for_it() -> None:
-    places = TRUTH.copy()
-    places[2:] += np.array([0.5, 0.0, 0.0])
-    track = track_frames(Observed(BODY, 30.0, Places(places, np.full(places.shape[:2], 0.01))))
+    positions = TRUTH.copy()
+    positions[2:] += np.array([0.5, 0.0, 0.0])
+    track = track_frames(Observed(BODY, 30.0, JointPositions(positions, np.full(positions.shape[:2], 0.01))))
     assert track.lost.tolist() == [False, False, True, False, False]
 
 
@@ -127,32 +127,32 @@ def test_priors_pull_unless_silhouettes_contradict_them() -> None:
 
     without = tracks(None)
     for one, other in zip(without, tracks(priors), strict=True):
-        np.testing.assert_array_equal(one.turns, other.turns)  # they have no weight
+        np.testing.assert_array_equal(one.rotations, other.rotations)  # they have no weight
     priors.turn_weights[:, elbow] = 1e6
     before = priors.turn_weights.copy()
     pulled, refused = tracks(priors)
-    np.testing.assert_allclose(pulled.turns[-1, elbow], priors.turn_targets[-1, elbow], atol=0.02)
-    np.testing.assert_array_equal(refused.turns, without[1].turns)
+    np.testing.assert_allclose(pulled.rotations[-1, elbow], priors.turn_targets[-1, elbow], atol=0.02)
+    np.testing.assert_array_equal(refused.rotations, without[1].rotations)
     np.testing.assert_array_equal(priors.turn_weights, before)  # the caller's terms stay as they are
-    priors.turn_targets[:, elbow] = without[1].turns[:, elbow]
+    priors.turn_targets[:, elbow] = without[1].rotations[:, elbow]
     _, agreeing = tracks(priors)
-    np.testing.assert_allclose(agreeing.turns[:, elbow], without[1].turns[:, elbow], atol=1e-3)
+    np.testing.assert_allclose(agreeing.rotations[:, elbow], without[1].rotations[:, elbow], atol=1e-3)
 
 
 def test_steps_on_silhouettes_end_where_the_squares_of_the_twin_are_least() -> None:
     tracker = module._Frames(Observed(BODY, 30.0, None, None, Silhouettes(VIEWS, MASKS, CAPSULES)), None, 5.0)
-    place, turns = motion().places[1].copy(), START.turns[0].copy()
-    tracker._find(tracker.silhouettes.seen(1), place, turns)
+    place, rotations = motion().positions[1].copy(), START.rotations[0].copy()
+    tracker._find(tracker.silhouettes.seen(1), place, rotations)
     sums = ContourSums(CAPSULES, *(part.copy() for part in tracker.sums[1:]))
-    tracker._solve(1, place, turns, 60, tracker.priors)
+    tracker._solve(1, place, rotations, 60, tracker.priors)
 
     def cost(vector: np.ndarray) -> float:
         """Return the squares of correspondences that move with both ends of their capsule, and the pulls to rest."""
-        room, joints = tracker.room, np.empty((len(CHAIN.joints), 3))
-        moved, turned = np.empty(3), np.empty_like(turns)
-        take_step(BODY.arrays, place, turns, vector, moved, turned)
-        pose_nodes(BODY.arrays, moved, turned, room.turned, room.centres)
-        pose_joints(BODY.arrays, room.turned, room.centres, joints)
+        buffers, joints = tracker.buffers, np.empty((len(CHAIN.joints), 3))
+        moved, turned = np.empty(3), np.empty_like(rotations)
+        take_step(BODY.arrays, place, rotations, vector, moved, turned)
+        pose_nodes(BODY.arrays, moved, turned, buffers.turned, buffers.centres)
+        pose_joints(BODY.arrays, buffers.turned, buffers.centres, joints)
         move = joints - sums.joints
         squares = np.einsum("ji,jik,jk->", move, sums.matrices, move) + 2 * (sums.vectors * move).sum()
         squares += 2 * np.einsum("ni,nik,nk->", move[CAPSULES.starts], sums.mixed, move[CAPSULES.ends])

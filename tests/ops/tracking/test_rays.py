@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from kinedex.ops.errors import ParameterError
-from kinedex.ops.tracking.observations import BodyPoints, Places, Rays
+from kinedex.ops.tracking.observations import BodyPoints, JointPositions, Rays
 from kinedex.ops.tracking.rays import make_evidence, point_cost, point_terms
 from tests.ops.tracking.filmed_bodies import BODY, filmed, joint_places, keypoints, moving_poses
 from tests.oracles import tracking as oracle
@@ -33,35 +33,35 @@ def test_costs_and_gradients_are_those_of_the_twin(width: float) -> None:
     rays.confidence[0, 1, 2], rays.confidence[0, 2, 3] = 0.05, 0.0
     rays.directions[0, 2, 3] = np.nan
     evidence = make_evidence(BODY, rays, points)
-    places = oracle.body_points(BODY, points, poses.places[0], poses.turns[0]) + 0.02
+    positions = oracle.body_points(BODY, points, poses.positions[0], poses.rotations[0]) + 0.02
     units, matrices, vectors = np.zeros((4, 15)), np.zeros((15, 3, 3)), np.zeros((15, 3))
-    cost = point_terms(evidence, 0, places, width, units, matrices, vectors)
+    cost = point_terms(evidence, 0, positions, width, units, matrices, vectors)
     rays.directions[0, 2, 3] = [0, 0, 1]
-    depths = oracle.ray_depths(rays, 0, places)
-    assert cost == pytest.approx((oracle.ray_residuals(rays, 0, places, depths, 5.0, width) ** 2).sum(), rel=1e-12)
-    assert cost == pytest.approx(point_cost(evidence, 0, places, width, np.zeros((4, 15)), True), rel=1e-12)
+    depths = oracle.ray_depths(rays, 0, positions)
+    assert cost == pytest.approx((oracle.ray_residuals(rays, 0, positions, depths, 5.0, width) ** 2).sum(), rel=1e-12)
+    assert cost == pytest.approx(point_cost(evidence, 0, positions, width, np.zeros((4, 15)), True), rel=1e-12)
     for p, i in ((0, 0), (2, 1), (3, 2), (14, 1)):
-        step = np.zeros_like(places)
+        step = np.zeros_like(positions)
         step[p, i] = 1e-6
-        one, two = (point_cost(evidence, 0, places + sign * step, width, units, False) for sign in (1, -1))
+        one, two = (point_cost(evidence, 0, positions + sign * step, width, units, False) for sign in (1, -1))
         assert vectors[p, i] == pytest.approx((one - two) / 4e-6, rel=1e-6)
 
 
 @pytest.mark.parametrize("width", [np.inf, 3.0])
 def test_places_are_points_with_a_spread_of_their_own(width: float) -> None:
-    places = joint_places(moving_poses(1))
-    observed = Places(places + 0.03, np.linspace(0.01, 0.05, 24)[None])
-    observed.places[0, 5, 1] = np.nan
+    positions = joint_places(moving_poses(1))
+    observed = JointPositions(positions + 0.03, np.linspace(0.01, 0.05, 24)[None])
+    observed.positions[0, 5, 1] = np.nan
     evidence = make_evidence(BODY, observed, None)
     units, matrices, vectors = np.zeros((0, 24)), np.zeros((24, 3, 3)), np.zeros((24, 3))
-    cost = point_terms(evidence, 0, places[0], width, units, matrices, vectors)
-    observed.places[0, 5] = places[0, 5]
-    assert cost == pytest.approx((oracle.place_residuals(observed, 0, places[0], width) ** 2).sum(), rel=1e-12)
-    assert cost == pytest.approx(point_cost(evidence, 0, places[0], width, units, False), rel=1e-12)
+    cost = point_terms(evidence, 0, positions[0], width, units, matrices, vectors)
+    observed.positions[0, 5] = positions[0, 5]
+    assert cost == pytest.approx((oracle.place_residuals(observed, 0, positions[0], width) ** 2).sum(), rel=1e-12)
+    assert cost == pytest.approx(point_cost(evidence, 0, positions[0], width, units, False), rel=1e-12)
     assert not vectors[5].any()
-    step = np.zeros_like(places[0])
+    step = np.zeros_like(positions[0])
     step[3, 1] = 1e-6
-    one, two = (point_cost(evidence, 0, places[0] + sign * step, width, units, False) for sign in (1, -1))
+    one, two = (point_cost(evidence, 0, positions[0] + sign * step, width, units, False) for sign in (1, -1))
     assert vectors[3, 1] == pytest.approx((one - two) / 4e-6, rel=1e-6)
 
 
@@ -73,6 +73,6 @@ def test_what_does_not_fit_is_refused() -> None:
     with pytest.raises(ParameterError, match="points must be the 15 points that the rays observe, got None"):
         make_evidence(BODY, rays, None)
     with pytest.raises(ParameterError, match="places must be of the 24 joints"):
-        make_evidence(BODY, Places(np.zeros((1, 3, 3)), np.ones((1, 3))), None)
+        make_evidence(BODY, JointPositions(np.zeros((1, 3, 3)), np.ones((1, 3))), None)
     with pytest.raises(ParameterError, match="sigma_m must be positive"):
-        make_evidence(BODY, Places(np.zeros((1, 24, 3)), np.zeros((1, 24))), None)
+        make_evidence(BODY, JointPositions(np.zeros((1, 24, 3)), np.zeros((1, 24))), None)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from kinedex.ops.body.kinematic_chain import forward
-from kinedex.ops.tracking.observations import BodyPoints, Places, Rays
+from kinedex.ops.tracking.observations import BodyPoints, JointPositions, Rays
 from kinedex.ops.tracking.trust import exchanged_sides
 from tests.ops.body.test_kinematic_chain import BODY, CHAIN, random_poses
 
@@ -18,8 +18,8 @@ CENTRES = np.array([[4.0, 1.0, 0.0], [0.0, 1.0, 4.0], [-4.0, 1.0, 1.0]])
 
 def seen() -> Rays:
     """Return what three cameras see of the poses, without noise."""
-    places = np.moveaxis(forward(BODY, POSES)[0][JOINTS], 2, 0)
-    directions = places[:, None] - CENTRES[None, :, None]
+    positions = np.moveaxis(forward(BODY, POSES)[0][JOINTS], 2, 0)
+    directions = positions[:, None] - CENTRES[None, :, None]
     directions /= np.linalg.norm(directions, axis=3, keepdims=True)
     confidence = np.random.default_rng(0).uniform(0.5, 1.0, directions.shape[:3])
     return Rays(CENTRES, np.full(3, 1000.0), directions, confidence)
@@ -44,7 +44,7 @@ def test_what_is_not_seen_and_places_stay_as_they_are():
     found = exchanged_sides(BODY, unseen, POINTS, POSES)
     assert isinstance(found, Rays)
     np.testing.assert_array_equal(found.confidence, unseen.confidence)
-    places = Places(np.zeros((3, 24, 3)), np.ones((3, 24)))
-    assert exchanged_sides(BODY, places, None, POSES) is places
+    positions = JointPositions(np.zeros((3, 24, 3)), np.ones((3, 24)))
+    assert exchanged_sides(BODY, positions, None, POSES) is positions
     arms = BodyPoints(POINTS.nodes[4:5], POINTS.offsets[4:5], POINTS.joints[4:5])
     assert exchanged_sides(BODY, unseen, arms, POSES) is unseen

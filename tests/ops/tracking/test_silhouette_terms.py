@@ -7,21 +7,28 @@ import pytest
 
 from kinedex.ops.body.kinematic_chain import Poses, forward
 from kinedex.ops.errors import ParameterError
-from kinedex.ops.tracking.contours import Observed, Silhouettes, add_contours, contour_room, contour_sums, find_contours
+from kinedex.ops.tracking.contours import (
+    Observed,
+    Silhouettes,
+    add_contours,
+    contour_buffers,
+    contour_sums,
+    find_contours,
+)
 from kinedex.ops.tracking.frame_tracker import track_frames
 from kinedex.ops.tracking.take_tracker import (
     TakeTrack,
     silhouette_terms,
     track_take,
     track_take_on_silhouettes,
-    with_places,
+    with_position_terms,
 )
 from tests.ops.tracking.scene import BODY, CAPSULES, CHAIN
 from tests.ops.tracking.test_frame_tracker import FRAMES, LIMBS, MASKS, POINTS, START, TRUTH, VIEWS, motion, rays
 from tests.plain_python import slow_as_python
 
 SILHOUETTES = Silhouettes(VIEWS, MASKS, CAPSULES)
-STILL = Poses(np.repeat(START.places, FRAMES, axis=0), np.repeat(START.turns, FRAMES, axis=0))
+STILL = Poses(np.repeat(START.positions, FRAMES, axis=0), np.repeat(START.rotations, FRAMES, axis=0))
 
 
 def apart(track: TakeTrack) -> np.ndarray:
@@ -33,9 +40,9 @@ def test_place_terms_bound_the_squares_of_the_correspondences_and_touch_them() -
     terms, shifts = silhouette_terms(BODY, STILL, SILHOUETTES)
     assert shifts[0] < shifts[-1]
     joints = np.ascontiguousarray(forward(BODY, STILL)[0][:, :, 4])
-    sums, room = contour_sums(CAPSULES, len(joints)), contour_room(CAPSULES, joints)
+    sums, buffers = contour_sums(CAPSULES, len(joints)), contour_buffers(CAPSULES, joints)
     for view, mask in SILHOUETTES.seen(4):
-        add_contours(view, room, find_contours(view, mask, joints, CAPSULES, room)[0], sums)
+        add_contours(view, buffers, find_contours(view, mask, joints, CAPSULES, buffers)[0], sums)
     own = terms.place_frames == 4
     at, weights, targets = (array[own] for array in (terms.place_joints, terms.place_weights, terms.place_targets))
 
@@ -80,7 +87,7 @@ def test_silhouettes_show_what_keypoints_do_not() -> None:
 
 def test_priors_stay_beside_the_terms_of_silhouettes() -> None:
     terms, _ = silhouette_terms(BODY, motion(), SILHOUETTES)
-    twice = with_places(terms, terms)
+    twice = with_position_terms(terms, terms)
     assert len(twice.place_frames) == 2 * len(terms.place_frames)
     assert (np.diff(twice.place_frames) >= 0).all()
     assert twice.turn_weights is terms.turn_weights

@@ -12,7 +12,7 @@ from kinedex.ops.tracking.band import assemble, make_band, solve_band
 from kinedex.ops.tracking.blocks import TrackProblem, prior_arrays
 from kinedex.ops.tracking.contours import Observed
 from kinedex.ops.tracking.first_track import find_start, first_track
-from kinedex.ops.tracking.observations import Places, PriorTerms, Rays, no_priors
+from kinedex.ops.tracking.observations import JointPositions, PriorTerms, Rays, no_priors
 from kinedex.ops.tracking.rays import make_evidence
 from kinedex.ops.tracking.take_tracker import connected_triples, smoothness_weights, track_take, windows
 from tests.ops.tracking.filmed_bodies import BODY, CHAIN, LIMBS, filmed, joint_places, keypoints, moving_poses
@@ -26,18 +26,18 @@ POINTS = keypoints()
 def moved(poses: Poses, size: float = 0.05, seed: int = 3) -> Poses:
     """Poses beside the given ones, about the axes of the chain."""
     random = np.random.default_rng(seed)
-    turns = poses.turns.copy()
-    for t in range(len(turns)):
+    rotations = poses.rotations.copy()
+    for t in range(len(rotations)):
         for axis in CHAIN.axes:
             vector = np.zeros(3)
             vector[axis.direction] = random.normal(0, size)
-            turns[t, axis.node] = turns[t, axis.node] @ exp(vector)
-    return Poses(poses.places + random.normal(0, size, poses.places.shape), turns)
+            rotations[t, axis.node] = rotations[t, axis.node] @ exp(vector)
+    return Poses(poses.positions + random.normal(0, size, poses.positions.shape), rotations)
 
 
 def some_priors(poses: Poses) -> PriorTerms:
     """A term of each kind."""
-    priors = no_priors(len(poses.places), len(CHAIN.nodes))
+    priors = no_priors(len(poses.positions), len(CHAIN.nodes))
     priors.turn_weights[1, CHAIN.nodes.index("lshoulder")] = 40.0
     priors.turn_targets[1, CHAIN.nodes.index("lshoulder")] = exp(np.array([0.4, -0.2, 0.3]))
     priors.turn_weights[2, CHAIN.nodes.index("relbow"), 1] = 30.0
@@ -52,16 +52,16 @@ def some_priors(poses: Poses) -> PriorTerms:
 
 def twin_terms(observations: Rays, poses: Poses, priors: PriorTerms, width: float) -> oracle.Terms:
     depths = [
-        oracle.ray_depths(observations, t, oracle.body_points(BODY, POINTS, poses.places[t], poses.turns[t]))
-        for t in range(len(poses.places))
+        oracle.ray_depths(observations, t, oracle.body_points(BODY, POINTS, poses.positions[t], poses.rotations[t]))
+        for t in range(len(poses.positions))
     ]  # fmt: skip
 
-    def own(t: int, place: np.ndarray, turns: np.ndarray) -> np.ndarray:
-        points = oracle.body_points(BODY, POINTS, place, turns)
+    def own(t: int, place: np.ndarray, rotations: np.ndarray) -> np.ndarray:
+        points = oracle.body_points(BODY, POINTS, place, rotations)
         return np.concatenate([
             oracle.ray_residuals(observations, t, points, depths[t], 5.0, width),
-            oracle.rest_residuals(BODY, turns),
-            oracle.prior_residuals(BODY, priors, t, place, turns),
+            oracle.rest_residuals(BODY, rotations),
+            oracle.prior_residuals(BODY, priors, t, place, rotations),
         ])  # fmt: skip
 
     return own
@@ -71,9 +71,9 @@ def solved(
     rays: Rays, start: Poses, priors: PriorTerms | None, triples: np.ndarray, *widths: float, sigma_px: float = 5.0
 ) -> Poses:
     """The minimum, run to convergence."""
-    pulls = prior_arrays(BODY, priors, len(start.places))
+    pulls = prior_arrays(BODY, priors, len(start.positions))
     problem = TrackProblem(BODY.arrays, make_evidence(BODY, rays, POINTS, sigma_px), pulls)
-    copy = Poses(start.places.copy(), start.turns.copy())
+    copy = Poses(start.positions.copy(), start.rotations.copy())
     return take_tracker._solve(problem, smoothness_weights(BODY, 30.0), triples, copy, widths, 1e-14, 400)[0]
 
 
@@ -104,7 +104,7 @@ def test_g_and_the_data_part_of_h_are_those_of_the_twin() -> None:
     scale = np.abs(band.gradient).max()
     np.testing.assert_allclose(band.gradient.ravel() / scale, derivatives.T @ residuals / scale, atol=1e-7)
     limbs = [3 + d for d, axis in enumerate(CHAIN.axes) if CHAIN.nodes[axis.node] in ("pelvis", "lhip", "lknee")]
-    first = Poses(beside.places[:1], beside.turns[:1])
+    first = Poses(beside.positions[:1], beside.rotations[:1])
     data = oracle.jacobian(BODY, first, 30.0, np.zeros(1), twin_terms(rays, first, priors, np.inf))[1]
     expected = data.T @ data
     block = np.triu(band.blocks[0]) + np.triu(band.blocks[0], 1).T
@@ -167,7 +167,7 @@ def test_the_same_input_gives_the_same_bytes_and_weightless_priors_change_nothin
     start = find_start(BODY, rays, POINTS)
     none = no_priors(12, 20)
     tracks = [track_take(Observed(BODY, 30.0, rays, POINTS), start, priors) for priors in (None, None, none)]
-    assert len({track.positions.tobytes() + track.poses.turns.tobytes() for track in tracks}) == 1
+    assert len({track.positions.tobytes() + track.poses.rotations.tobytes() for track in tracks}) == 1
 
 
 @slow_as_python
@@ -178,7 +178,7 @@ def test_nothing_goes_across_a_cut() -> None:
     whole = solved(rays, start, None, connected_triples(16, (8,)), 3.0)
     for part in (slice(0, 8), slice(8, 16)):
         own = type(rays)(rays.centres, rays.focal_px, rays.directions[part], rays.confidence[part])
-        alone = solved(own, Poses(start.places[part], start.turns[part]), None, connected_triples(8, ()), 3.0)
+        alone = solved(own, Poses(start.positions[part], start.rotations[part]), None, connected_triples(8, ()), 3.0)
         np.testing.assert_allclose(joint_places(alone), joint_places(whole)[part], atol=1e-6)
 
 
@@ -203,13 +203,15 @@ def test_windows_cover_every_frame_once() -> None:
 
 def test_three_frames_of_a_3d_track_come_nearer_to_it() -> None:
     poses = moving_poses(3)
-    places = joint_places(poses)
-    observed = Places(places + np.random.default_rng(0).normal(0, 0.01, places.shape), np.full((3, 24), 0.02))
-    observed.places[:, [joint for joint in range(24) if joint not in LIMBS[:3]]] = np.nan
+    positions = joint_places(poses)
+    observed = JointPositions(
+        positions + np.random.default_rng(0).normal(0, 0.01, positions.shape), np.full((3, 24), 0.02)
+    )
+    observed.positions[:, [joint for joint in range(24) if joint not in LIMBS[:3]]] = np.nan
     start = moved(poses, 0.02)
     track = track_take(Observed(BODY, 30.0, observed), start, schedule=(3.0,))
-    before = ((joint_places(start) - observed.places)[:, LIMBS[:3]] ** 2).sum()
-    assert ((track.positions - observed.places)[:, LIMBS[:3]] ** 2).sum() < 0.5 * before
+    before = ((joint_places(start) - observed.positions)[:, LIMBS[:3]] ** 2).sum()
+    assert ((track.positions - observed.positions)[:, LIMBS[:3]] ** 2).sum() < 0.5 * before
 
 
 def test_what_cannot_be_tracked_is_refused() -> None:

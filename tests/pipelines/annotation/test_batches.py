@@ -15,15 +15,15 @@ from kinedex.catalog.queries.keyframe_query import Gap, Keyframe, KeyframeQuery
 from kinedex.ops.annotation.segments import local_minima
 from kinedex.ops.distances.dtw import distance_curves
 from kinedex.ops.errors import KinedexError
-from kinedex.ops.templates.templates import Learned, Template, learn_soft
+from kinedex.ops.templates.templates import LearnedTemplate, Template, learn_soft
 from kinedex.ops.words import TakeWords
 from kinedex.pipelines.annotation import batches as annotating
 from kinedex.pipelines.annotation import methods
-from kinedex.pipelines.annotation.annotators import Annotator, make_annotator, targets_unknown
+from kinedex.pipelines.annotation.annotators import Annotator, make_annotator, unknown_targets
 from kinedex.pipelines.annotation.batches import annotate_words, split_takes
 from kinedex.pipelines.annotation.methods import BestMethod
-from kinedex.pipelines.search.preselection import preselect, template_ranges
-from kinedex.pipelines.templates.learning import SubclassTemplate
+from kinedex.pipelines.keyframes.preselected_frames import preselect, template_ranges
+from kinedex.pipelines.templates.template_learning import SubclassTemplate
 from tests.oracles import annotation as naive
 from tests.oracles.paths import start_frames
 from tests.pipelines.labelled import BODY, POSES, motion
@@ -188,9 +188,9 @@ def test_two_queries_of_one_name_both_preselect():
 def test_queries_that_fit_no_class_are_named_and_all_of_them_an_error():
     classes = load_classes("own", ["kick", "walk"])
     other = KeyframeQuery("x", "kik", KICK.keyframes, KICK.gaps)
-    assert targets_unknown([KICK, other], classes) == ["kik"]
+    assert unknown_targets([KICK, other], classes) == ["kik"]
     with pytest.raises(KinedexError, match="the first is for 'kik'; did you mean 'kick'"):
-        targets_unknown([other], classes)
+        unknown_targets([other], classes)
 
 
 def test_classes_without_any_template_are_an_error():
@@ -202,7 +202,7 @@ def faint(subclass: str, fixed: int) -> SubclassTemplate:
     """A template of four columns of which so many entries are no wildcards."""
     values = np.full((4, 40), 0.5)
     values.ravel()[:fixed] = 0
-    return SubclassTemplate(subclass, "soft", Learned(Template(values, np.ones(4)), 1, (0.0, 0.0)), ("clip",))
+    return SubclassTemplate(subclass, "soft", LearnedTemplate(Template(values, np.ones(4)), 1, (0.0, 0.0)), ("clip",))
 
 
 def test_templates_that_fit_anything_are_left_out_and_those_that_nearly_do_are_named():

@@ -11,7 +11,7 @@ from kinedex.catalog.features import load_feature_set
 from kinedex.pipelines.annotation.annotators import Annotator, make_annotator
 from kinedex.pipelines.annotation.confidence_calibration import (
     FOLDS,
-    MOST_CLIPS,
+    MAX_CLIPS,
     CalibratedConfidence,
     Target,
     _laid_out,
@@ -22,7 +22,7 @@ from kinedex.pipelines.annotation.confidence_calibration import (
 )
 from kinedex.pipelines.annotation.methods import annotation_method
 from kinedex.pipelines.engine.executors import make_executor
-from kinedex.pipelines.templates.learning import SubclassTemplate, TrainingClips, learn_templates
+from kinedex.pipelines.templates.template_learning import SubclassTemplate, TrainingClips, learn_templates
 
 BODY = load_feature_set("body40")
 
@@ -127,5 +127,5 @@ def test_actors_are_known_where_most_takes_are_of_theirs() -> None:
 def test_of_many_examples_some_take_part() -> None:
     many = clips("jump", 1, [f"p{number:03}" for number in range(100)], 0)
     few = _thinned(many)
-    assert len(few.names) == MOST_CLIPS
+    assert len(few.names) == MAX_CLIPS
     assert (few.names[0], few.names[-1]) == (many.names[0], many.names[-1])

@@ -13,12 +13,12 @@ from kinedex.ops.errors import KinedexError
 from kinedex.ops.words import TakeWords
 from kinedex.pipelines.annotation.annotators import Annotator, make_annotator
 from kinedex.pipelines.annotation.batches import annotate_words
+from kinedex.pipelines.annotation.earlier_annotations import setting_digest
 from kinedex.pipelines.annotation.methods import BestMethod, ThesisMethod
-from kinedex.pipelines.annotation.reuse import setting_digest
-from kinedex.pipelines.annotation.single_examples import MOST_FRAMES, usual_postures, with_single_examples
+from kinedex.pipelines.annotation.single_examples import MAX_FRAMES, usual_postures, with_single_examples
 from kinedex.pipelines.engine.executors import make_executor
 from kinedex.pipelines.templates.examples import Rejected
-from kinedex.pipelines.templates.learning import TrainingClips, learn_templates
+from kinedex.pipelines.templates.template_learning import TrainingClips, learn_templates
 from tests.pipelines.labelled import BODY, POSES, motion
 
 NAMES = ("rest", "walk", "rest", "kick", "wave", "rest")
@@ -67,8 +67,8 @@ def test_one_example_of_each_class_labels_as_best_does(names: list[str], known: 
 
 def test_examples_that_differ_are_each_found_and_named_after_their_class() -> None:
     made = single([clips_of("turn", motion("walk"), motion("wave")), clips_of("kick", motion("kick"))])
-    turns = [("turn", "turn", EDGES[place], EDGES[place + 1]) for place in (1, 4)]
-    assert found(made, laid_out(TAKE)) == [turns[0], ("kick", "kick", EDGES[3], EDGES[4]), turns[1]]
+    rotations = [("turn", "turn", EDGES[place], EDGES[place + 1]) for place in (1, 4)]
+    assert found(made, laid_out(TAKE)) == [rotations[0], ("kick", "kick", EDGES[3], EDGES[4]), rotations[1]]
     assert made.label == "examples in a row"
 
 
@@ -104,7 +104,7 @@ def test_the_method_of_the_thesis_has_no_single_examples() -> None:
 
 
 def test_usual_postures_are_learned_from_words_of_the_whole_archive() -> None:
-    words = np.concatenate([TAKE] * (2 * MOST_FRAMES // len(TAKE)))
+    words = np.concatenate([TAKE] * (2 * MAX_FRAMES // len(TAKE)))
     assert usual_postures(words, 40).shape == USUAL.shape
     np.testing.assert_allclose(usual_postures(TAKE, 40), USUAL)
     assert usual_postures(np.empty(0, np.uint64), 40).shape == (1, 40)

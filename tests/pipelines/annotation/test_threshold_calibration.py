@@ -17,7 +17,7 @@ from kinedex.pipelines.engine.executors import make_executor
 from kinedex.pipelines.stages.annotate import Annotate
 from kinedex.pipelines.stages.evaluate import Evaluate
 from kinedex.pipelines.stages.learn_templates import LearnTemplates
-from kinedex.pipelines.templates.learning import SubclassTemplate, TrainingClips
+from kinedex.pipelines.templates.template_learning import SubclassTemplate, TrainingClips
 from kinedex.storage.store.store import open_store
 from tests.oracles.dtw import accumulated
 from tests.pipelines.labelled import Line, clip, long_take, motion, write_store

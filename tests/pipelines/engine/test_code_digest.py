@@ -12,7 +12,7 @@ from kinedex.pipelines.engine.code_digest import ROOMS, ROOT, Place, Sources, _m
 from kinedex.pipelines.engine.config import load_pipeline
 from kinedex.pipelines.engine.stage import BUILT_IN
 from kinedex.pipelines.ingestion.analysis import analyse
-from kinedex.pipelines.keyframes.learning import learn_runs
+from kinedex.pipelines.keyframes.query_learning import learn_runs
 
 ANNOTATE = [stage.uses for stage in load_pipeline("annotate", {"source": "/x"}).stages]
 STAGES = {name: tuple(place.split(":")) for name, place in BUILT_IN.items()}
@@ -66,7 +66,7 @@ def test_a_constant_of_a_kernel_changes_the_stages_that_use_it(package: Path, be
     found = {
         name: changed(package, before, file, old, new)
         for name, (file, old, new) in {
-            "time warping": ("ops/templates/templates.py", "MOST_ROUNDS = ", "MOST_ROUNDS = 1 + "),
+            "time warping": ("ops/templates/templates.py", "MAX_ROUNDS = ", "MAX_ROUNDS = 1 + "),
             "decoding": ("ops/annotation/decoding.py", "STANDING_OUT = ", "STANDING_OUT = 1 + "),
         }.items()
     }

@@ -157,7 +157,7 @@ def test_figures_stay_when_another_run_begins_the_stage_right_away(tmp_path: Pat
     source, store = write_archive(tmp_path / "source", {"x_1.amc": 30, "x_2.amc": 40}), tmp_path / "store"
 
     class AnotherRun(Terminal):
-        def say(self, text: str) -> None:
+        def message(self, text: str) -> None:
             if text.startswith("done in"):
                 with StoreWriter.open(store, open_store(store).feature_set) as writer:
                     writer.forget_stage("ingest/index")

@@ -32,7 +32,7 @@ from kinedex.pipelines.evaluation.ground_truth import (
     ground_truth_rows,
     place_ground_truth,
 )
-from kinedex.storage.formats.labels.segments import LabelFile, ManualSegment
+from kinedex.storage.formats.labels.file_labels import LabelFile, ManualSegment
 from kinedex.storage.snapshot.schemas import result_schema
 from tests.storage.made_up import take_row, takes_table
 

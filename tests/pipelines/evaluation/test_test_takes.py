@@ -8,10 +8,10 @@ import numpy as np
 import polars as pl
 
 from kinedex.catalog.classes import Classes, MotionClass
+from kinedex.pipelines.evaluation.comparison_parameters import Split
 from kinedex.pipelines.evaluation.folds import Fold, Material, make_folds
 from kinedex.pipelines.evaluation.ground_truth import GroundTruth, Manual
-from kinedex.pipelines.evaluation.scheme import Split
-from kinedex.pipelines.templates.learning import TrainingClips
+from kinedex.pipelines.templates.template_learning import TrainingClips
 
 CLASSES = Classes(tuple(MotionClass(name, name, (name,)) for name in ("walk", "kick")))
 

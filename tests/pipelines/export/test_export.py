@@ -236,23 +236,23 @@ def test_the_same_request_makes_the_same_bytes_whatever_was_there_and_however_ma
 def test_an_export_that_was_killed_goes_on_where_it_was(
     store: kinedex.Store, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    from kinedex.pipelines.export import work
+    from kinedex.pipelines.export import clip_batches
 
     store.export(tmp_path / "whole", labels=True)
-    write, done = work.write_files, []
+    write, done = clip_batches.write_files, []
 
     def killed(*arguments: Any) -> None:
         if len(done) == 2:
             raise KeyboardInterrupt
         done.append(write(*arguments))
 
-    monkeypatch.setattr(work, "CLIPS_A_TASK", 1)
-    monkeypatch.setattr(work, "write_files", killed)
+    monkeypatch.setattr(clip_batches, "CLIPS_A_TASK", 1)
+    monkeypatch.setattr(clip_batches, "write_files", killed)
     with pytest.raises(KeyboardInterrupt):
         store.export(tmp_path / "a", takes=["x_cy_long_1", "x_bo_sway_1", "x_cy_sway_2"])
     assert not (tmp_path / "a" / "dataset.json").exists()
     counted = []
-    monkeypatch.setattr(work, "write_files", lambda *arguments: counted.append(write(*arguments)))
+    monkeypatch.setattr(clip_batches, "write_files", lambda *arguments: counted.append(write(*arguments)))
     store.export(tmp_path / "a", takes=["x_cy_long_1", "x_bo_sway_1", "x_cy_sway_2"])
     assert len(counted) == 1
     first = tmp_path / "a" / "clips" / "x_bo_sway_1.npz"

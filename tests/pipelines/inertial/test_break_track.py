@@ -10,12 +10,12 @@ import numpy as np
 import pytest
 
 from kinedex.ops.inertial.rotations import distance_deg
-from kinedex.pipelines.inertial.broken_takes import LimbLabel, label_text
 from kinedex.pipelines.inertial.limb_motion import StoredLimbs, stored_limbs
+from kinedex.pipelines.inertial.simulated_errors import LimbLabel, label_text
 from kinedex.pipelines.stages.break_track import BreakTrack
 from kinedex.pipelines.stages.ingest import Ingest
 from kinedex.pipelines.stages.limb_orientations import LimbOrientations
-from kinedex.storage.formats.labels.tables import read_csv
+from kinedex.storage.formats.labels.label_tables import read_csv
 from kinedex.storage.store.store import open_store
 from kinedex.storage.store.verification import verify
 from tests.pipelines.archives import context, write_archive

@@ -14,12 +14,12 @@ from kinedex.catalog.limbs import LIMB_NAMES
 from kinedex.ops.errors import KinedexError
 from kinedex.ops.inertial.rotations import distance_deg
 from kinedex.pipelines.inertial.limb_motion import TakeLimbs, common_markers, stored_limbs, take_limbs
-from kinedex.pipelines.inertial.limb_sources import LimbTask, limb_tasks, read_limbs
+from kinedex.pipelines.inertial.source_limbs import LimbTask, limb_tasks, read_limbs
 from kinedex.pipelines.stages import limb_orientations as stage_module
 from kinedex.pipelines.stages.ingest import Ingest
 from kinedex.pipelines.stages.limb_orientations import LimbOrientations
+from kinedex.storage.formats.motion.body_limbs import BodyLimbs
 from kinedex.storage.formats.motion.reader import Body
-from kinedex.storage.formats.motion.segments import Segments
 from kinedex.storage.store.store import Store, open_store
 from kinedex.storage.store.verification import verify
 from tests.bodies import standing
@@ -108,14 +108,14 @@ def test_a_source_that_is_gone_or_changed_is_named(tmp_path: Path) -> None:
     assert run(tmp_path, where="name <> 'x_al_hop_1'")["takes"] == 1
 
 
-def _segments(frames: int = 60, **more: object) -> Segments:
+def _segments(frames: int = 60, **more: object) -> BodyLimbs:
     positions = standing(frames).astype(np.float64)
     bend = np.radians(40 + 20 * np.sin(np.linspace(0, 6, frames)))
     knee, ankle = JOINTS.index("lknee"), JOINTS.index("lankle")
     length = np.linalg.norm(positions[ankle, :, 0] - positions[knee, :, 0])
     positions[ankle] = positions[knee] + length * np.stack([0 * bend, -np.cos(bend), -np.sin(bend)])
     body = Body(positions, np.full((4, frames), np.nan), 60.0, "1 m", "", **{"unknown": (), "warnings": (), **more})
-    return Segments(body)
+    return BodyLimbs(body)
 
 
 def test_joints_alone_give_hinges_the_trunk_and_directions() -> None:

@@ -18,7 +18,7 @@ from kinedex.ops.errors import KinedexError
 from kinedex.ops.inertial.rotations import distance_deg
 from kinedex.pipelines.engine.runner import run_pipeline
 from kinedex.pipelines.inertial.parameters import ReadImuParameters
-from kinedex.pipelines.inertial.recording_files import find_recordings
+from kinedex.pipelines.inertial.sensor_recordings import find_recordings
 from kinedex.storage.store.limb_checks import imu_problems
 from kinedex.storage.store.store import Store, open_store
 from kinedex.storage.store.verification import verify

@@ -304,7 +304,7 @@ def test_limbs_of_a_long_take_are_read_without_the_others(
     synchronised: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     shutil.copytree(synchronised, tmp_path, dirs_exist_ok=True)
-    monkeypatch.setattr(reused_results, "LEAST_ROWS", 1000)
+    monkeypatch.setattr(reused_results, "MIN_ROWS", 1000)
     given = LimbOrientations.parameters(limbs=["legs", "hands", "torso"])
     LimbOrientations().run(stage_context(tmp_path, "limb_orientations"), given)
     whole, divided = (

@@ -11,7 +11,7 @@ from kinedex.catalog.features import load_feature_set
 from kinedex.catalog.skeletons.mappings import load_mappings, load_skeleton, own_files, with_own
 from kinedex.catalog.skeletons.recognition.landmarks import load_landmarks
 from kinedex.ops.errors import ConfigError
-from kinedex.pipelines.repair.repair import repair_store
+from kinedex.pipelines.ingestion.store_repair import repair_store
 from kinedex.pipelines.stages.ingest import Ingest
 from kinedex.storage.snapshot.manifest_files import read_newest
 from kinedex.storage.store.store import open_store

@@ -12,8 +12,8 @@ from hypothesis import strategies as st
 from typer.testing import CliRunner
 
 from kinedex.commands.cli import app
-from kinedex.pipelines.ingestion.pattern_proposal import matched, propose
-from kinedex.pipelines.ingestion.pipeline_draft import division, draft
+from kinedex.pipelines.ingestion.pattern_proposal import matched_count, propose_patterns
+from kinedex.pipelines.ingestion.pipeline_draft import division, draft_pipeline
 from kinedex.storage.formats.motion.sources import path_groups
 from kinedex.storage.store.store import open_store
 from tests.pipelines.archives import write_archive
@@ -30,8 +30,8 @@ CAMEL = [f"{c}{s}{n}.fbx" for c in ("Walk", "Jump") for s in ("Angry", "Sad") fo
 
 
 def groups(paths: list[str], path: str) -> dict[str, str]:
-    patterns = [re.compile(one.pattern) for one in propose(paths)]
-    assert matched(propose(paths), paths) == len(paths)
+    patterns = [re.compile(one.pattern) for one in propose_patterns(paths)]
+    assert matched_count(propose_patterns(paths), paths) == len(paths)
     return dict(path_groups(path, patterns) or {})
 
 
@@ -57,8 +57,8 @@ def test_tokens_look_like_what_people_call_them(paths: list[str], path: str, exp
 
 
 def test_names_without_anything_in_common_get_no_pattern() -> None:
-    assert propose(["BTS.c3d", "rolling.c3d", "Vicon.c3d"]) == []
-    assert propose([]) == propose(["a.bvh"]) == []
+    assert propose_patterns(["BTS.c3d", "rolling.c3d", "Vicon.c3d"]) == []
+    assert propose_patterns([]) == propose_patterns(["a.bvh"]) == []
 
 
 FIELD = st.text("abXY'#: .()é\n", min_size=1, max_size=6)
@@ -72,13 +72,13 @@ def test_a_pattern_gives_back_the_values_of_its_tokens(columns: list[list[str]],
     for values in columns:
         names = [f"{name}{separator if name else ''}{value}" for name in names for value in values][:40]
     paths = [f"{'x/' * (n % (folders + 1))}{name}{separator}{n}.bvh" for n, name in enumerate(names)]
-    proposals = propose(paths)
+    proposals = propose_patterns(paths)
     for proposal in proposals:
         assert proposal.fits
         for number, path in enumerate(proposal.layout.paths):
             found = path_groups(path, [re.compile(proposal.pattern)])
             assert found == {one.role: one.column.values[number] for one in proposal.tokens if one.role}
-    text = yaml.safe_load(draft(proposals, Path("/a b"), len(paths), 0, "x.yaml"))
+    text = yaml.safe_load(draft_pipeline(proposals, Path("/a b"), len(paths), 0, "x.yaml"))
     assert text["stages"]["ingest"]["params"]["patterns"] == [one.pattern for one in proposals]
 
 
@@ -113,7 +113,7 @@ def test_a_drafted_pipeline_runs_as_it_is(tmp_path: Path) -> None:
 def test_takes_that_all_have_a_class_are_divided_and_every_class_is_learned(
     paths: list[str], annotate: str | None
 ) -> None:
-    found = division(propose(paths))
+    found = division(propose_patterns(paths))
     assert (found and found.annotate) == annotate
 
 
@@ -134,5 +134,5 @@ def test_real_archives(shared: Path, name: str, path: str, expected: tuple[str |
     folder = shared / "data" / name
     endings = {".amc", ".bvh"}
     paths = [str(file.relative_to(folder)) for file in sorted(folder.rglob("*")) if file.suffix in endings]
-    found = path_groups(path, [re.compile(one.pattern) for one in propose(paths)]) or {}
+    found = path_groups(path, [re.compile(one.pattern) for one in propose_patterns(paths)]) or {}
     assert tuple(found.get(role) for role in ("actor", "class", "style", "clip")) == expected

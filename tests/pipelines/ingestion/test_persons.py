@@ -19,10 +19,10 @@ from kinedex.catalog import plugins
 from kinedex.catalog.skeletons.mappings import Mappings, load_skeleton
 from kinedex.console.terminal import Terminal
 from kinedex.ops.errors import KinedexError, SourceError
-from kinedex.pipelines.ingestion import read_rounds
-from kinedex.pipelines.inspection.inspection import inspect_file
+from kinedex.pipelines.ingestion import read_passes
+from kinedex.pipelines.ingestion.store_repair import repair_store
 from kinedex.pipelines.inspection.mapping_proposal import propose_mapping
-from kinedex.pipelines.repair.repair import repair_store
+from kinedex.pipelines.inspection.motion_file import inspect_file
 from kinedex.pipelines.stages.ingest import Ingest
 from kinedex.storage.formats.motion import reader_table
 from kinedex.storage.formats.motion.reader import Body, MotionFile, Reader, ReadSettings
@@ -187,7 +187,7 @@ def test_no_two_takes_have_one_name(source: Path, store: Path) -> None:
 def test_an_ingest_that_was_stopped_between_two_persons_reads_the_file_again(
     source: Path, store: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(read_rounds, "MEGABYTE", 1)
+    monkeypatch.setattr(read_passes, "MEGABYTE", 1)
     really = CrowdReader.read
 
     def read(self: CrowdReader, file: MotionFile, *rest: object) -> Body:

@@ -16,7 +16,7 @@ from kinedex.console.terminal import Terminal
 from kinedex.ops.errors import KinedexError
 from kinedex.pipelines.engine.runner import Outcome, run_pipeline
 from kinedex.pipelines.ingestion import file_batches
-from kinedex.pipelines.ingestion.pattern_proposal import propose
+from kinedex.pipelines.ingestion.pattern_proposal import propose_patterns
 from kinedex.storage.snapshot.manifest_files import read_newest
 from kinedex.storage.store.store import open_store
 from tests.pipelines.archives import write_archive
@@ -107,7 +107,7 @@ def test_paths_without_a_pattern_lead_to_a_proposal_only_where_there_is_one(tmp_
     _, shown = ingest(tmp_path / "store", source, patterns=["^x_(?P<actor>al)_(?P<class>[^_]+)_"])
     assert "9 of 13 paths match no pattern" in shown
     assert f"`kinedex init {source} -o my.yaml` proposes patterns" in shown
-    proposed = [one.pattern for one in propose([*files, "free.amc"])]
+    proposed = [one.pattern for one in propose_patterns([*files, "free.amc"])]
     _, shown = ingest(tmp_path / "store", source, accept=True, patterns=proposed)
     assert "1 of 13 paths matches no pattern, such as 'free.amc'" in shown
     assert f"kinedex init {source}" not in shown

@@ -11,7 +11,7 @@ import pytest
 
 from kinedex.ops.errors import KinedexError, StoreError
 from kinedex.pipelines.engine.executors import ProcessExecutor, SerialExecutor, WorkerDied
-from kinedex.pipelines.ingestion.read_rounds import run_batches
+from kinedex.pipelines.ingestion.read_passes import run_batches
 
 
 @dataclass(frozen=True)

@@ -15,10 +15,10 @@ from typer.testing import CliRunner
 import kinedex
 from docs.generators.json_documents import DOCUMENTS
 from kinedex.commands.cli import app
-from kinedex.pipelines.labels.segments import Difference, differences
+from kinedex.pipelines.labels.file_segments import SegmentDifference, segment_differences
 from kinedex.pipelines.stages.annotate import Annotate
 from kinedex.pipelines.stages.learn_templates import LearnTemplates
-from kinedex.storage.formats.labels.segments import ManualSegment
+from kinedex.storage.formats.labels.file_labels import ManualSegment
 from tests.pipelines.labelled import Line, clip, labelled_line, long_take, write_store
 
 
@@ -50,7 +50,7 @@ segments = st.builds(segment, st.sampled_from("xy"), st.integers(0, 4), st.integ
 
 @given(st.lists(segments, unique=True, max_size=6), st.lists(segments, unique=True, max_size=6))
 def test_every_segment_is_in_one_difference(before: list[ManualSegment], after: list[ManualSegment]) -> None:
-    found = differences(before, after)
+    found = segment_differences(before, after)
     assert sorted(map(str, before)) == sorted(str(one.before) for one in found if one.before)
     assert sorted(map(str, after)) == sorted(str(one.after) for one in found if one.after)
     for one in found:
@@ -59,18 +59,18 @@ def test_every_segment_is_in_one_difference(before: list[ManualSegment], after: 
             assert (one.before.label == one.after.label, same_edges) == {
                 "same": (True, True), "renamed": (False, True), "moved": (True, False)
             }[one.change]  # fmt: skip
-    assert {one.change for one in differences(before, before)} <= {"same"}
+    assert {one.change for one in segment_differences(before, before)} <= {"same"}
 
 
 def test_a_moved_segment_is_paired_with_what_it_overlaps_most() -> None:
     before = [segment("walk", 0, 10), segment("walk", 12, 30)]
     after = [segment("walk", 8, 29), segment("kick", 40, 50)]
-    assert differences(before, after) == [
-        Difference("removed", before[0], None),
-        Difference("moved", before[1], after[0]),
-        Difference("added", None, after[1]),
+    assert segment_differences(before, after) == [
+        SegmentDifference("removed", before[0], None),
+        SegmentDifference("moved", before[1], after[0]),
+        SegmentDifference("added", None, after[1]),
     ]
-    assert differences([segment("walk", 0.1, 1)], [segment("walk", 0.1004, 1)], 0.001)[0].change == "same"
+    assert segment_differences([segment("walk", 0.1, 1)], [segment("walk", 0.1004, 1)], 0.001)[0].change == "same"
 
 
 def test_annotations_are_accepted_and_rejected_by_what_the_options_choose(line: Line) -> None:

@@ -9,7 +9,7 @@ from typing import Any
 import yaml
 
 from kinedex.console.terminal import Terminal
-from kinedex.pipelines.simulation.depth_recordings import Request, simulate_depth
+from kinedex.pipelines.simulation.simulated_depth import DepthRequest, simulate_depth
 from kinedex.pipelines.stages.index import Index
 from kinedex.pipelines.stages.ingest import Ingest
 from kinedex.storage.store.store import open_store
@@ -27,7 +27,7 @@ def filmed_by_depth(folder: Path) -> None:
     Ingest().run(context(folder / "store"), Ingest.parameters(source=str(source), patterns=PATTERNS))
     Index().run(context(folder / "store", "index"), Index.parameters())
     with open_store(folder / "store", at="newest") as store:
-        request = Request(FILMED, None, 3, "tof_small", interval=(0, FRAMES))
+        request = DepthRequest(FILMED, None, 3, "tof_small", interval=(0, FRAMES))
         simulate_depth(store, request, folder / "rec", Terminal().progress)
     edit_recordings(folder, lambda entries: [entry.update(body=name) for name, entry in entries.items()])
 

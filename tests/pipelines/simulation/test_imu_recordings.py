@@ -21,7 +21,7 @@ from kinedex.ops.inertial.rotations import conjugate, distance_deg, interpolate,
 from kinedex.pipelines.inertial.limb_motion import LimbMotion, stored_limbs
 from kinedex.pipelines.simulation.imu_recordings import (
     ClassTime,
-    Request,
+    ImuRequest,
     TakeToSimulate,
     Windowing,
     segment_rows,
@@ -161,14 +161,14 @@ def test_short_windows_keep_short_pieces_and_takes_without_class_are_reported(st
     short = limb((150, 151), frames=300)
     assert len(take_pieces({"torso": short}, ("torso",), True).pieces) == 0
     assert (
-        len(take_pieces({"torso": short}, ("torso",), True, Request(windowing=Windowing(1.0)).least_seconds).pieces)
+        len(take_pieces({"torso": short}, ("torso",), True, ImuRequest(windowing=Windowing(1.0)).least_seconds).pieces)
         == 2
     )
-    assert Request(windowing=Windowing(0.1)).least_seconds == 0.5
-    assert Request(windowing=Windowing(30.0)).least_seconds == 2.0
+    assert ImuRequest(windowing=Windowing(0.1)).least_seconds == 0.5
+    assert ImuRequest(windowing=Windowing(30.0)).least_seconds == 2.0
     takes = [TakeToSimulate("hop", None, {"torso": short}, 100.0)]
     (tmp_path / "r").mkdir()
-    request = Request(("torso",), windowing=Windowing(1.0))
+    request = ImuRequest(("torso",), windowing=Windowing(1.0))
     made = write_data_set(
         tmp_path / "r", ["hop"], takes, request, lambda *_: contextlib.nullcontext(SimpleNamespace(advance=id))
     )

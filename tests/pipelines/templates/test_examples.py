@@ -12,7 +12,7 @@ from kinedex.catalog.classes import load_classes
 from kinedex.ops.errors import KinedexError
 from kinedex.pipelines.annotation.threshold_calibration import calibrate
 from kinedex.pipelines.engine.executors import make_executor
-from kinedex.pipelines.keyframes.learning import training_sets
+from kinedex.pipelines.keyframes.query_learning import training_sets
 from kinedex.pipelines.stages.annotate import Annotate
 from kinedex.pipelines.stages.learn_templates import LearnTemplates
 from kinedex.pipelines.templates.examples import (
@@ -23,7 +23,7 @@ from kinedex.pipelines.templates.examples import (
     interval_of,
     rejected_examples,
 )
-from kinedex.pipelines.templates.learning import TrainingClips, example_clips, learn_templates
+from kinedex.pipelines.templates.template_learning import TrainingClips, example_clips, learn_templates
 from kinedex.storage.store.result_changes import record_labels
 from kinedex.storage.store.store import Store, open_store
 from tests.pipelines.labelled import CLIPS, POSES, Line, labelled_line, long_take, motion, write_store

@@ -9,13 +9,13 @@ import pytest
 
 from kinedex.catalog.template_files import write_yaml
 from kinedex.ops.errors import KinedexError
-from kinedex.ops.templates.templates import Kind, Learned, NamedTemplate, Template, quantise
+from kinedex.ops.templates.templates import Kind, LearnedTemplate, NamedTemplate, Template, quantise
 from kinedex.ops.words import NO_WORD
 from kinedex.pipelines.stages import learn_templates
 from kinedex.pipelines.stages.annotate import Annotate
 from kinedex.pipelines.stages.evaluate import Evaluate
 from kinedex.pipelines.stages.learn_templates import LearnTemplates
-from kinedex.pipelines.templates.learning import SubclassTemplate, read_templates
+from kinedex.pipelines.templates.template_learning import SubclassTemplate, read_templates
 from kinedex.storage.store.store import open_store
 from tests.pipelines.labelled import BODY, Line, clip, labelled_line, write_store
 
@@ -30,7 +30,7 @@ def test_a_large_subclass_is_divided_among_the_workers_without_a_difference(
 ):
     line.run(LearnTemplates)
     alone = open_store(line.store).result("templates").drop_columns(["run"])
-    monkeypatch.setattr("kinedex.pipelines.templates.learning._SPLIT_CELLS", 1)
+    monkeypatch.setattr("kinedex.pipelines.templates.template_learning._SPLIT_CELLS", 1)
     spread = Line(line.store, "processes")
     spread.run(LearnTemplates)
     spread.executor.close()
@@ -152,7 +152,7 @@ def test_a_clip_of_another_motion_is_told_from_the_others(line: Line):
 
 def test_a_warning_of_one_kind_says_which_and_the_class_comes_first():
     def made(subclass: str, kind: Kind, *remarks: str) -> SubclassTemplate:
-        learned = Learned(Template(np.zeros((2, 40)), np.ones(2)), 1, ())
+        learned = LearnedTemplate(Template(np.zeros((2, 40)), np.ones(2)), 1, ())
         return SubclassTemplate(subclass, kind, learned, ("a",), remarks=remarks)
 
     templates = [made("kick", "soft", "both", "one"), made("kick", "hard", "both"), made("walk", "soft", "both")]

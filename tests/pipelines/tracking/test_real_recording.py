@@ -12,8 +12,8 @@ from kinedex.catalog.kinematics import load_kinematic_chain
 from kinedex.commands.cli import app
 from kinedex.ops.body.kinematic_chain import ChainBody, forward
 from kinedex.ops.tracking.triangulation import triangulate
-from kinedex.pipelines.tracking.recordings import stored_recording
-from kinedex.pipelines.tracking.tracked_takes import LIMBS, compared, poses_of, stored_poses, truth_reference
+from kinedex.pipelines.tracking.observed_recordings import stored_recording
+from kinedex.pipelines.tracking.tracked_takes import LIMBS, poses_of, stored_poses, track_errors, truth_reference
 from kinedex.storage.store.store import open_store
 
 
@@ -37,9 +37,9 @@ def test_a_real_recording_is_tracked_and_near_its_own_triangulation(shared: Path
     assert len(cameras) == 4
     assert max(cameras.values()) < 3 * float(np.median(list(cameras.values())))
     poses = poses_of(store, "track/track", row["take_id"])
-    assert np.isfinite(stored_poses(poses, len(row["nodes"])).turns).all()
+    assert np.isfinite(stored_poses(poses, len(row["nodes"])).rotations).all()
     reference = truth_reference(store, str(truth), Path(), "balance")
-    figures = {one["name"]: one["median_mm"] for one in compared(row, poses, reference)}
+    figures = {one["name"]: one["median_mm"] for one in track_errors(row, poses, reference)}
     assert figures["all"] < 25
     # where all four cameras agree on a joint of a limb
     recording = stored_recording(store, "balance").recording

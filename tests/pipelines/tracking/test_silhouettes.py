@@ -13,7 +13,7 @@ from typer.testing import CliRunner
 from kinedex.commands.cli import app
 from kinedex.console.terminal import Terminal
 from kinedex.ops.simulation.recording import CameraRing, FailureRate, Setup
-from kinedex.pipelines.simulation.camera_recordings import Request, simulate_cameras
+from kinedex.pipelines.simulation.simulated_cameras import CameraRequest, simulate_cameras
 from kinedex.pipelines.stages.ingest import Ingest
 from kinedex.storage.store.store import open_store
 from tests.pipelines.archives import context, write_archive
@@ -40,7 +40,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     setup = Setup(RING, failures=FailureRate(per_second=0.0))
     with open_store(folder / "store", at="newest") as store:
         simulate_cameras(
-            store, Request((FILMED,), None, 3, setup, silhouettes=True), folder / "sim", Terminal().progress
+            store, CameraRequest((FILMED,), None, 3, setup, silhouettes=True), folder / "sim", Terminal().progress
         )
     return folder
 

@@ -18,11 +18,11 @@ from kinedex.commands.cli import app
 from kinedex.ops.body.kinematic_chain import ChainBody
 from kinedex.ops.errors import KinedexError
 from kinedex.ops.tracking.contours import Observed
-from kinedex.ops.tracking.observations import Places
+from kinedex.ops.tracking.observations import JointPositions
 from kinedex.pipelines.engine.runner import run_pipeline
-from kinedex.pipelines.tracking import runs
-from kinedex.pipelines.tracking.recordings import stored_recording
-from kinedex.pipelines.tracking.work import filled_gaps
+from kinedex.pipelines.tracking import tracking_runs
+from kinedex.pipelines.tracking.observed_recordings import stored_recording
+from kinedex.pipelines.tracking.tracking_tasks import filled_gaps
 from kinedex.storage.store.store import open_store
 from kinedex.storage.store.take_removal import planned_removal, remove_takes
 from kinedex.storage.store.verification import verify
@@ -146,20 +146,20 @@ def test_a_track_with_gaps_is_filled_which_is_reported() -> None:
     places[1:3, 0] = np.nan
     places[:, 2] = np.nan  # a joint that the track never has
     body = ChainBody(load_kinematic_chain(), np.zeros((len(load_kinematic_chain().joints), 3)))
-    observed = Observed(body, 30.0, Places(places, np.full((6, 3), 0.02)))
+    observed = Observed(body, 30.0, JointPositions(places, np.full((6, 3), 0.02)))
     assert filled_gaps(observed) == "; gaps in 2 frames filled"
-    assert filled_gaps(replace(observed, observations=Places(places[3:], np.full((3, 3), 0.02)))) == ""
+    assert filled_gaps(replace(observed, observations=JointPositions(places[3:], np.full((3, 3), 0.02)))) == ""
 
 
 def test_the_first_track_reports_that_kernels_are_compiled(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    band = runs.solve_band
+    band = tracking_runs.solve_band
     fake = SimpleNamespace(stats=SimpleNamespace(cache_path=str(tmp_path)), __name__="solve_band")
-    monkeypatch.setattr(runs, "solve_band", fake)
-    assert not runs.are_kernels_compiled()
+    monkeypatch.setattr(tracking_runs, "solve_band", fake)
+    assert not tracking_runs.are_kernels_compiled()
     (tmp_path / "band.solve_band-227.py311.nbi").touch()
-    assert runs.are_kernels_compiled()
-    monkeypatch.setattr(runs, "solve_band", band)
-    assert runs.are_kernels_compiled(), "the takes of this module were tracked"
+    assert tracking_runs.are_kernels_compiled()
+    monkeypatch.setattr(tracking_runs, "solve_band", band)
+    assert tracking_runs.are_kernels_compiled(), "the takes of this module were tracked"
 
 
 def test_an_archive_without_classes_is_refused_with_ways_out_that_work(folder: Path, tmp_path: Path) -> None:

@@ -13,12 +13,12 @@ from typer.testing import CliRunner
 from kinedex.commands.cli import app
 from kinedex.ops.errors import KinedexError
 from kinedex.ops.words import NO_WORD
-from kinedex.pipelines.recordings.recorded_takes import put_takes
 from kinedex.pipelines.stages.ingest import Ingest
+from kinedex.pipelines.tracking.recorded_takes import put_takes
 from kinedex.pipelines.tracking.tracked_takes import observed_frames, stabilised_name
 from kinedex.storage.index.builder import build_index
 from kinedex.storage.snapshot.schemas import TRACK_FORMAT
-from kinedex.storage.store.garbage_collection import collect
+from kinedex.storage.store.garbage_collection import collect_garbage
 from kinedex.storage.store.merge import merge_store
 from kinedex.storage.store.store import Store, open_store
 from kinedex.storage.store.take_removal import planned_removal, remove_takes
@@ -146,7 +146,7 @@ def test_removal_merge_gc_and_export_know_tracks(folder: Path, tmp_path: Path) -
     after = open_store(path, at="newest")
     assert "walk_tracked" not in after.take_ids
     assert not after.manifest.removed_files
-    collect(path)
+    collect_garbage(path)
     assert [one.kind for one in verify(open_store(path, at="newest"))] == ["index"]
 
 

@@ -11,9 +11,9 @@ from kinedex.console.terminal import Terminal
 from kinedex.ops.body.pose_fit import fit_poses, measured_body
 from kinedex.ops.simulation.recording import Setup
 from kinedex.pipelines.engine.runner import Outcome, run_pipeline
-from kinedex.pipelines.recordings.recorded_takes import Provenance
-from kinedex.pipelines.simulation.camera_recordings import Request, simulate_cameras
+from kinedex.pipelines.simulation.simulated_cameras import CameraRequest, simulate_cameras
 from kinedex.pipelines.stages.ingest import Ingest
+from kinedex.pipelines.tracking.recorded_takes import Provenance
 from kinedex.pipelines.tracking.tracked_takes import Track
 from kinedex.storage.snapshot.parts import joint_positions
 from kinedex.storage.store.store import Store, open_store
@@ -48,7 +48,7 @@ def filmed_archive(folder: Path) -> None:
     write_archive(folder / "source", clips)
     Ingest().run(context(folder / "store"), Ingest.parameters(source=str(folder / "source"), patterns=PATTERNS))
     with open_store(folder / "store", at="newest") as store:
-        simulate_cameras(store, Request((FILMED,), None, 3, Setup()), folder / "sim", Terminal().progress)
+        simulate_cameras(store, CameraRequest((FILMED,), None, 3, Setup()), folder / "sim", Terminal().progress)
 
 
 def run(folder: Path, **settings: object) -> Outcome:

@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 
 from kinedex.ops.errors import StoreError
-from kinedex.storage.disk import xxh3_of
+from kinedex.storage.durable_files import xxh3_of
 from kinedex.storage.snapshot import checked_files
 from kinedex.storage.store.store import Store, open_store
 from tests.storage.flipped import flip_bit

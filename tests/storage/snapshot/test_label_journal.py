@@ -13,10 +13,10 @@ import pytest
 
 from kinedex.console.terminal import Terminal
 from kinedex.ops.errors import ParameterError, StoreError
-from kinedex.pipelines.repair.repair import repair_store
+from kinedex.pipelines.ingestion.store_repair import repair_store
 from kinedex.storage.snapshot.label_journal import read_journals
 from kinedex.storage.snapshot.manifest_files import read_newest
-from kinedex.storage.store.garbage_collection import collect
+from kinedex.storage.store.garbage_collection import collect_garbage
 from kinedex.storage.store.result_changes import record_labels
 from kinedex.storage.store.store import open_store
 from kinedex.storage.store.verification import verify
@@ -79,7 +79,7 @@ def test_a_writer_at_work_does_not_stop_decisions_and_loses_none(path: Path) -> 
         assert classes(path) == ["run", "kick"]
         decide(path, "turn")
     assert classes(path) == ["run", "kick", "turn"]
-    collect(path, keep=1)
+    collect_garbage(path, keep=1)
     assert classes(path) == ["run", "kick", "turn"]
 
 

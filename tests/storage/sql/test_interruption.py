@@ -16,7 +16,7 @@ import pytest
 
 from kinedex.ops.errors import ParameterError
 from kinedex.storage import interruption
-from kinedex.storage.duck import connect, rows
+from kinedex.storage.duckdb_sql import connect, rows
 from kinedex.storage.index.builder import build_index
 from kinedex.storage.interruption import TimeLimitError, abandoned_statements, ctrl_c_in_statements
 from kinedex.storage.sql import queries

@@ -11,7 +11,7 @@ import pytest
 
 from kinedex.catalog.sql.views import MACROS, VIEWS
 from kinedex.ops.errors import StoreError
-from kinedex.storage import duck
+from kinedex.storage import duckdb_sql
 from kinedex.storage.snapshot.schemas import RESULT_KINDS, result_schema
 from kinedex.storage.sql.read_parts import _reached
 from kinedex.storage.store.store import Store, open_store
@@ -68,7 +68,7 @@ def test_a_raw_connection_is_only_opened_over_sound_parts(damaged: Store) -> Non
 
 def test_views_and_macros_lead_to_every_view_in_their_bodies() -> None:
     """Names in the bodies that stand behind FROM or JOIN are those of the parsed tree."""
-    with duck.connect() as connection:
+    with duckdb_sql.connect() as connection:
         for name, body in [(view.name, view.body) for view in VIEWS] + [(macro.name, macro.body) for macro in MACROS]:
             words = body.replace("(", " ").replace(")", " ").replace(",", " ").split()
             named = {after for before, after in pairwise(words) if before in ("FROM", "JOIN")}

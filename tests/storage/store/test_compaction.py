@@ -22,7 +22,7 @@ from kinedex.storage.snapshot.manifest_files import versions
 from kinedex.storage.snapshot.parts import ROW_GROUP, FramesWriter
 from kinedex.storage.store import compaction
 from kinedex.storage.store import writer as writers
-from kinedex.storage.store.compaction import FANOUT, compact, divided, worthwhile
+from kinedex.storage.store.compaction import FANOUT, compact, merge_groups, part_count
 from kinedex.storage.store.store import Store, open_store
 from kinedex.storage.store.verification import verify
 from kinedex.storage.store.writer import StoreWriter
@@ -248,11 +248,11 @@ def test_merges_may_run_anywhere_and_twice(tmp_path: Path) -> None:
 def test_a_large_merge_is_divided_evenly_and_parts_do_not_get_small(
     count: int, workers: int, fits: int, worth: int, parts: int
 ) -> None:
-    assert divided(count, workers, fits=fits, worth=worth) == parts
+    assert part_count(count, workers, fits=fits, worth=worth) == parts
 
 
 def test_the_workers_share_a_merge_and_its_parts_need_no_other(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(compaction, "LEAST_ROWS", 60)
+    monkeypatch.setattr(compaction, "MIN_ROWS", 60)
     before = in_batches(tmp_path, FANOUT)
     tasks = []
 
@@ -277,11 +277,11 @@ def part(rows: int, dropped_rows: int = 0, name: str = "") -> Part:
 
 
 def test_few_parts_and_full_parts_are_left_alone() -> None:
-    assert worthwhile([part(100)] * (FANOUT - 1) + [part(1000)] * (FANOUT - 1)) == []
-    assert worthwhile([part(1000)] * FANOUT, full_bytes=200_000) == []
-    assert [len(group) for group in worthwhile([part(1000)] * FANOUT, full_bytes=200_001)] == [FANOUT]
-    assert worthwhile([part(1000, 500)], full_bytes=0) == []
-    assert worthwhile([part(1000, 501)], full_bytes=0) == [[part(1000, 501)]]
+    assert merge_groups([part(100)] * (FANOUT - 1) + [part(1000)] * (FANOUT - 1)) == []
+    assert merge_groups([part(1000)] * FANOUT, full_bytes=200_000) == []
+    assert [len(group) for group in merge_groups([part(1000)] * FANOUT, full_bytes=200_001)] == [FANOUT]
+    assert merge_groups([part(1000, 500)], full_bytes=0) == []
+    assert merge_groups([part(1000, 501)], full_bytes=0) == [[part(1000, 501)]]
 
 
 @settings(max_examples=30)
@@ -291,7 +291,7 @@ def test_each_row_is_written_again_only_a_few_times_however_it_came_in(batches: 
     written = 0
     for number, rows in enumerate(batches):
         parts.append(part(rows, name=str(number)))
-        for group in worthwhile(parts):
+        for group in merge_groups(parts):
             merged = sum(old.live_rows for old in group)
             written += merged
             parts = [old for old in parts if old not in group] + [part(merged, name=f"{number}-{merged}")]

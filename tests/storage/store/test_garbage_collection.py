@@ -8,14 +8,14 @@ from pathlib import Path
 import pytest
 
 from kinedex.ops.errors import ParameterError, StoreError
-from kinedex.storage.disk import write_flushed
+from kinedex.storage.durable_files import write_flushed
 from kinedex.storage.index.builder import build_index
 from kinedex.storage.lock import Lock
 from kinedex.storage.snapshot.manifest_files import manifest_path, named_files, read_version, versions
 from kinedex.storage.store import garbage_collection as garbage
 from kinedex.storage.store import history
 from kinedex.storage.store.compaction import FANOUT, compact
-from kinedex.storage.store.garbage_collection import Collection, collect, shown_bytes, summary
+from kinedex.storage.store.garbage_collection import CollectedGarbage, collect_garbage, shown_bytes, summary
 from kinedex.storage.store.store import Store, open_store
 from kinedex.storage.store.verification import verify
 from kinedex.storage.store.writer import StoreWriter
@@ -46,7 +46,7 @@ def files(path: Path) -> set[str]:
 def test_what_only_old_versions_need_goes_and_the_rest_reads_as_before(store: Store) -> None:
     before = files(store.path)
     previous = Store(store.path, read_version(store.path, 9))
-    found = collect(store.path).removed
+    found = collect_garbage(store.path).removed
     assert versions(store.path) == [9, 10]
     assert before - files(store.path) >= {item.path for item in found if item.kind != "index generation"}
     assert verify(store) == []
@@ -55,12 +55,12 @@ def test_what_only_old_versions_need_goes_and_the_rest_reads_as_before(store: St
     assert [item.kind for item in found].count("old version") == 8
     assert not any(item.kind in ("frames part", "takes part") for item in found)
     assert sorted(os.listdir(store.path / "results/hits")) == [Path(store.manifest.results["hits"][0].path).name]
-    assert collect(store.path) == Collection([], [])
+    assert collect_garbage(store.path) == CollectedGarbage([], [])
     assert summary([]) == ["nothing: there is no garbage"]
 
 
 def test_the_newest_version_alone_needs_only_its_own_parts(store: Store) -> None:
-    collect(store.path, keep=1)
+    collect_garbage(store.path, keep=1)
     assert versions(store.path) == [10]
     parts = {file for file in files(store.path) if file.startswith(("frames/", "takes/", "results/"))}
     assert parts == named_files(store.path, 10)
@@ -71,9 +71,9 @@ def test_the_newest_version_alone_needs_only_its_own_parts(store: Store) -> None
 
 def test_a_dry_run_says_the_same_and_removes_nothing(store: Store) -> None:
     before = files(store.path)
-    message = collect(store.path, keep=1, dry_run=True).removed
+    message = collect_garbage(store.path, keep=1, dry_run=True).removed
     assert files(store.path) == before
-    assert collect(store.path, keep=1).removed == message
+    assert collect_garbage(store.path, keep=1).removed == message
     assert sum(item.bytes for item in message if item.kind == "old version") > 0
     assert summary(message)[0].startswith("9 old versions, ")
 
@@ -83,7 +83,7 @@ def test_what_kinedex_has_not_made_is_not_touched(store: Store) -> None:
     for name in mine:
         (store.path / name).parent.mkdir(parents=True, exist_ok=True)
         (store.path / name).touch()
-    collect(store.path, keep=1)
+    collect_garbage(store.path, keep=1)
     assert files(store.path) >= mine | {"lock"}
 
 
@@ -92,7 +92,7 @@ def test_leftovers_of_killed_runs_and_a_stale_index_go(store: Store) -> None:
     (store.path / "takes/.tmp-1.parquet").touch()
     (store.path / "index/.building-1").mkdir()
     (store.path / "index/.building-1/index.duckdb").write_bytes(b"1" * 100)
-    found = {item.path: item for item in collect(store.path, keep=100).removed}
+    found = {item.path: item for item in collect_garbage(store.path, keep=100).removed}
     assert found[orphan.path].kind == "frames part"
     assert found["index/.building-1"].bytes == 100
     assert found["takes/.tmp-1.parquet"].kind == "unfinished file"
@@ -106,16 +106,16 @@ UNFINISHED = (
 
 
 def test_an_unfinished_file_is_noted_and_removed_wherever_it_lies(store: Store) -> None:
-    collect(store.path)
+    collect_garbage(store.path)
     for name in UNFINISHED:
         (store.path / name).parent.mkdir(parents=True, exist_ok=True)
         (store.path / name).write_bytes(b"unfinished")
     noted = {found.file for found in verify(store) if found.kind == "leftover" and not found.fault}
     assert noted >= set(UNFINISHED)
-    assert {(item.path, item.bytes, item.kind) for item in collect(store.path).removed} == {
+    assert {(item.path, item.bytes, item.kind) for item in collect_garbage(store.path).removed} == {
         (name, 10, "unfinished file") for name in UNFINISHED
     }
-    assert collect(store.path).removed == []
+    assert collect_garbage(store.path).removed == []
     assert not files(store.path).intersection(UNFINISHED)
 
 
@@ -127,7 +127,7 @@ def test_a_run_that_is_written_while_garbage_is_collected_is_in_the_history(
     def collected(path: Path, content: bytes) -> None:
         write_flushed(path, content)
         if not collections:
-            collections.append(collect(store.path))
+            collections.append(collect_garbage(store.path))
 
     monkeypatch.setattr(history, "write_flushed", collected)
     history.write_run(store.path, history.PipelineRun("20260101-000000-abcdef", "p", begun="2026"))
@@ -138,18 +138,18 @@ def test_a_run_that_is_written_while_garbage_is_collected_is_in_the_history(
 
 def test_garbage_is_not_collected_while_anybody_writes(store: Store) -> None:
     with StoreWriter.open(store.path, BODY), pytest.raises(StoreError, match="is being written by process"):
-        collect(store.path)
+        collect_garbage(store.path)
     with Lock(store.path / "index" / "lock", "this"), pytest.raises(StoreError, match="garbage collection must wait"):
-        collect(store.path)
+        collect_garbage(store.path)
 
 
 def test_what_a_damaged_version_needs_is_not_guessed(store: Store) -> None:
     manifest_path(store.path, 9).write_text("{")
     before = files(store.path)
     with pytest.raises(StoreError, match=r"000009\.json: the manifest is damaged"):
-        collect(store.path)
+        collect_garbage(store.path)
     assert files(store.path) == before
-    collect(store.path, keep=1)
+    collect_garbage(store.path, keep=1)
     assert versions(store.path) == [10]
 
 
@@ -169,20 +169,20 @@ def test_killed_on_the_way_it_leaves_a_sound_store(store: Store, monkeypatch: py
 
         monkeypatch.setattr(garbage, "_remove", remove)
         with pytest.raises(Killed):
-            collect(store.path, keep=1)
+            collect_garbage(store.path, keep=1)
         assert not any(finding.fault for finding in verify(store))
         for version in versions(store.path):
             assert Store(store.path, read_version(store.path, version)).words().frames.sum() > 0
         monkeypatch.undo()
-    collect(store.path, keep=1)
+    collect_garbage(store.path, keep=1)
     assert verify(store) == []
 
 
 def test_at_least_one_version_stays_and_only_stores_are_cleaned(tmp_path: Path, store: Store) -> None:
     with pytest.raises(ParameterError, match="keep must be at least 1"):
-        collect(store.path, keep=0)
+        collect_garbage(store.path, keep=0)
     with pytest.raises(StoreError, match="does not exist"):
-        collect(tmp_path / "none")
+        collect_garbage(tmp_path / "none")
 
 
 def test_bytes_are_told_in_units_for_people() -> None:

@@ -53,7 +53,7 @@ def test_the_rows_are_those_of_a_run_over_all_takes(tmp_path: Path, monkeypatch:
     make_store(tmp_path, {"a": 5})
     for module in (parts, reused_results):
         monkeypatch.setattr(module, "FULL_BYTES", full)
-    monkeypatch.setattr(reused_results, "LEAST_ROWS", 2)
+    monkeypatch.setattr(reused_results, "MIN_ROWS", 2)
     random = np.random.default_rng(full)
     order = random.permutation(40).tolist()
     versions: dict[int, int] = {}
@@ -70,7 +70,7 @@ def test_parts_that_new_rows_do_not_fall_into_stay(tmp_path: Path, monkeypatch: 
     make_store(tmp_path, {"a": 5})
     for module in (parts, reused_results):
         monkeypatch.setattr(module, "FULL_BYTES", 1)
-    monkeypatch.setattr(reused_results, "LEAST_ROWS", 2)
+    monkeypatch.setattr(reused_results, "MIN_ROWS", 2)
     versions = dict.fromkeys((1, 2, 3, 5, 6, 9, 10), 1)
     with StoreWriter.open(tmp_path, BODY) as writer:
         before = put(writer, versions, set(versions))

@@ -16,14 +16,14 @@ import xxhash
 import yaml
 
 from kinedex.ops.errors import StoreError
-from kinedex.storage.disk import sync_file
+from kinedex.storage.durable_files import sync_file
 from kinedex.storage.index.builder import build_index
 from kinedex.storage.index.generations import current_generation
 from kinedex.storage.snapshot.manifest import Manifest
 from kinedex.storage.snapshot.manifest_files import read_newest, versions
 from kinedex.storage.snapshot.schemas import FORMAT_VERSION, RESULT_KINDS
 from kinedex.storage.store import upgrade as upgrading
-from kinedex.storage.store.garbage_collection import collect
+from kinedex.storage.store.garbage_collection import collect_garbage
 from kinedex.storage.store.store import open_store
 from kinedex.storage.store.upgrade import PROGRESS, upgrade
 from kinedex.storage.store.verification import verify
@@ -145,7 +145,7 @@ def test_records_of_stages_make_sources_and_pipelines(old: Path) -> None:
 def test_the_old_version_stays_until_it_is_collected(old: Path) -> None:
     upgrade(old)
     assert versions(old) == [*range(1, 23)]
-    collect(old, keep=1)
+    collect_garbage(old, keep=1)
     assert versions(old) == [22]
     assert verify(open_store(old, at="newest")) == []
 

@@ -17,7 +17,7 @@ export interface Look {
 }
 
 export const WHOLE: Look = { x: 0, y: 0, zoom: 1 };
-export const MOST_ZOOM = 200;
+export const MAX_ZOOM = 200;
 
 const VERTEX = `
   attribute vec3 tint;
@@ -59,7 +59,7 @@ const FAINT = 0.16;
 const FULL = 0.85;
 const NAME_FONT = "600 12px system-ui, sans-serif";
 /** Most names of clusters; the rest have an outline, and a row of the table. */
-const MOST_NAMES = 40;
+const MAX_NAMES = 40;
 
 export class MapPicture {
   look: Look = WHOLE;
@@ -172,7 +172,7 @@ export class MapPicture {
 
   /** Return what is in sight after zooming by a factor around a pixel, which stays where it is. */
   zoomed(factor: number, at: Point): Look {
-    const zoom = Math.min(MOST_ZOOM, Math.max(0.5, this.look.zoom * factor));
+    const zoom = Math.min(MAX_ZOOM, Math.max(0.5, this.look.zoom * factor));
     const [x, y] = this.onMap(at);
     const share = this.look.zoom / zoom;
     return { x: x + (this.look.x - x) * share, y: y + (this.look.y - y) * share, zoom };
@@ -292,7 +292,7 @@ export class MapPicture {
     pen.textAlign = "center";
     pen.textBaseline = "middle";
     const taken: [number, number, number, number][] = [];
-    for (const [number, one] of map.clusters.slice(0, MOST_NAMES).entries()) {
+    for (const [number, one] of map.clusters.slice(0, MAX_NAMES).entries()) {
       const ys = one.outline.map((corner) => corner[1]);
       const xs = one.outline.map((corner) => corner[0]);
       const [middle, top] = this.toScreen([(Math.min(...xs) + Math.max(...xs)) / 2, Math.max(...ys)]);

@@ -10,7 +10,7 @@ import type { ColumnValues, Flags, Quality, RowsOf, Totals } from "./types";
 
 const BLOCK = 100;
 /** Most groups of one answer. */
-const MOST_GROUPS = 2000;
+const MAX_GROUPS = 2000;
 
 export interface TakeRow {
   id: number;
@@ -62,7 +62,7 @@ export function useGroups(selection: Selection, by: string | null) {
   return useQuery({
     queryKey: ["version", "groups", selection, by],
     queryFn: ({ signal }) =>
-      post<Totals>("/api/totals", { ...selection, by: [by], order: "value", limit: MOST_GROUPS }, signal),
+      post<Totals>("/api/totals", { ...selection, by: [by], order: "value", limit: MAX_GROUPS }, signal),
     // Groups of other filters stay until theirs are there, so that the grid keeps the focus; those of another column do not.
     placeholderData: (before, query) => (query?.queryKey[3] === by ? before : undefined),
     enabled: by !== null,

@@ -15,7 +15,7 @@ import { useSame } from "../app/same";
 import { useSelection } from "../archive/selection";
 import { counted } from "../archive/text";
 import { PoseCard, type Seen, TimeBetween } from "./PoseCard";
-import { addPose, MOST_POSES, withGap, withoutPose, withPose } from "./poses";
+import { addPose, MAX_POSES, withGap, withoutPose, withPose } from "./poses";
 import { Results } from "./Results";
 import { useRefine } from "./refine";
 import { SaveBar } from "./SaveBar";
@@ -70,7 +70,7 @@ export function ByKeyframes({ store }: { store: StoreFacts }) {
     if (text === null) return;
     const base = query ?? EMPTY;
     const [pose] = text.poses;
-    if (pose === undefined || base.poses.length >= MOST_POSES) return;
+    if (pose === undefined || base.poses.length >= MAX_POSES) return;
     if (from !== null) setSeen({ ...seen, [base.poses.length]: from });
     edit(addPose(base, pose));
   };
@@ -104,7 +104,7 @@ export function ByKeyframes({ store }: { store: StoreFacts }) {
             />
           </div>
         ))}
-        {query !== null && query.poses.length < MOST_POSES && (
+        {query !== null && query.poses.length < MAX_POSES && (
           <Button size="compact-sm" variant="default" mt="xs" onClick={() => edit(addPose(query, { on: [], off: [] }))}>
             Add a pose
           </Button>

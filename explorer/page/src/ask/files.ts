@@ -3,12 +3,12 @@
 import type { Interval } from "./types";
 
 /** Most hits that an address holds; servers refuse longer addresses. */
-const MOST_HITS = 200;
+const MAX_HITS = 200;
 
 /** Return the address of Export with intervals; beyond what an address holds, it asks for the file of intervals. */
 export function exportAddress(intervals: readonly Interval[], label: string): string {
   if (intervals.length === 0) return label === "" ? "/export" : `/export?what=labels&classes=${encodeURIComponent(JSON.stringify([label]))}`;
-  if (intervals.length > MOST_HITS) return "/export?what=ranges";
+  if (intervals.length > MAX_HITS) return "/export?what=ranges";
   const hits = intervals.map(({ take, start, stop, mirrored }) => ({
     take,
     start,

@@ -6,7 +6,7 @@ import type { Gap, Pose, Query } from "./types";
 export type State = "on" | "off" | "any";
 
 export const NEW_GAP: Gap = { low: 0.1, high: 1 };
-export const MOST_POSES = 20;
+export const MAX_POSES = 20;
 
 export function stateOf(pose: Pose, name: string): State {
   return pose.on.includes(name) ? "on" : pose.off.includes(name) ? "off" : "any";

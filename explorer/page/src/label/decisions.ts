@@ -53,7 +53,7 @@ interface TakeRows {
 }
 
 const PREFIX = "kinedex-decisions:";
-const MOST_STEPS = 5000;
+const MAX_STEPS = 5000;
 const RETRY_MS = [500, 1000, 2000, 5000];
 
 const listeners = new Set<() => void>();
@@ -132,7 +132,7 @@ export function decide(take: string, changes: Change[], annotator: string): void
   if (changes.length === 0) return;
   const decision = { id: newId(), take, annotator, changes };
   const step = { take, made: madeBy(changes), back: replacedBy(changes) };
-  set({ pending: [...state.pending, decision], undo: [...state.undo, step].slice(-MOST_STEPS), redo: [] });
+  set({ pending: [...state.pending, decision], undo: [...state.undo, step].slice(-MAX_STEPS), redo: [] });
   void send();
 }
 

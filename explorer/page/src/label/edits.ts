@@ -1,4 +1,4 @@
-// Edits of the labels of a take as the page shows them at once; pipelines/labels/edits.py records the same on the server.
+// Edits of the labels of a take as the page shows them at once; pipelines/labels/label_edits.py records the same on the server.
 
 export interface LabelRow {
   id: string;

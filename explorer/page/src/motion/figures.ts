@@ -19,7 +19,7 @@ const AT_ONCE = 3; // requests; the browser has six connections, and other quest
 const KEPT = 600;
 const PICTURE_MS = 30;
 /** The longest time on the main thread that the figures of one picture may take. */
-const MOST_MS = 5;
+const MAX_MS = 5;
 
 const kept = new Map<string, Promise<Block>>();
 let asked: { item: FigureItem; done: (block: Block) => void; failed: (fault: unknown) => void }[] = [];
@@ -218,7 +218,7 @@ function picture(now: number): void {
   lastPicture = now;
   const begun = performance.now();
   for (const [figure, start] of [...moving]) {
-    if (performance.now() - begun > MOST_MS) return; // the rest come first in the next picture
+    if (performance.now() - begun > MAX_MS) return; // the rest come first in the next picture
     if (!figure.visible) continue;
     figure.draw((((now - start) / 1000) % figure.seconds) / figure.seconds);
     moving.delete(figure);

@@ -189,7 +189,7 @@ function Header({ document }: { document: TakeDocument }) {
 }
 
 /** Most other persons that are shown; the motion of each is loaded. */
-const MOST_PERSONS = 6;
+const MAX_PERSONS = 6;
 const NOBODY: readonly number[] = [];
 
 /** The other persons of the same file, who stand where they stood. */
@@ -197,7 +197,7 @@ function usePersons(document: TakeDocument, session: Session) {
   const [asked, setAsked] = useJsonParameter<readonly number[]>("with", NOBODY);
   const shown = useMemo(() => {
     const wanted = Array.isArray(asked) ? asked : NOBODY;
-    return document.persons.map((one) => one.take_id).filter((id) => wanted.includes(id)).slice(0, MOST_PERSONS);
+    return document.persons.map((one) => one.take_id).filter((id) => wanted.includes(id)).slice(0, MAX_PERSONS);
   }, [asked, document.persons]);
   const { motions, fault } = useMotions(shown, session);
   const actors = useMemo<Actor[]>(() => motions.map((motion) => ({ motion, second: true })), [motions]);
@@ -214,7 +214,7 @@ function usePersons(document: TakeDocument, session: Session) {
               size="xs"
               label={one.name}
               checked={shown.includes(one.take_id)}
-              disabled={shown.length === MOST_PERSONS && !shown.includes(one.take_id)}
+              disabled={shown.length === MAX_PERSONS && !shown.includes(one.take_id)}
               onChange={() => toggle(one.take_id)}
             />
             <Link href={takeAddress(one.name)}>open</Link>

@@ -1,4 +1,4 @@
-// What the server states about a take (explorer/lanes.py and curves.py).
+// What the server states about a take (explorer/take_lanes.py and curves.py).
 
 import type { Same, Value } from "../api/types";
 

@@ -9,7 +9,7 @@ import type { Feature } from "../api/types";
 import { grouped } from "../ask/poses";
 import { onTheme } from "../motion/colours";
 import { drawMatrix } from "./draw";
-import { type Edits, MOST_WEIGHT, weightAfter } from "./edits";
+import { type Edits, MAX_WEIGHT, weightAfter } from "./edits";
 import type { TemplateFacts } from "./types";
 
 const ROW = 17;
@@ -180,7 +180,7 @@ const Weights = memo(function Weights({ groups, facts, edits, onWeight }: Weight
                 <input
                   type="number"
                   min={0}
-                  max={MOST_WEIGHT}
+                  max={MAX_WEIGHT}
                   step={0.5}
                   aria-label={`Weight of ${one.name}`}
                   title={learned === 1 ? undefined : `times its learned weight, ${learned}`}
@@ -188,7 +188,7 @@ const Weights = memo(function Weights({ groups, facts, edits, onWeight }: Weight
                   data-changed={weight !== 1}
                   onChange={(event) => {
                     const next = event.currentTarget.valueAsNumber;
-                    if (next >= 0 && next <= MOST_WEIGHT) onWeight(one.name, next);
+                    if (next >= 0 && next <= MAX_WEIGHT) onWeight(one.name, next);
                   }}
                 />
                 <button

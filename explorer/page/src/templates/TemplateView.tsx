@@ -18,7 +18,7 @@ import { useShortcuts } from "../app/shortcuts";
 import { SmallFigure } from "../motion/SmallFigure";
 import { Clips } from "./Clips";
 import { DifferenceView } from "./DifferenceView";
-import { askAddress, isEdited, MOST_CLIPS, useEdits } from "./edits";
+import { askAddress, isEdited, MAX_CLIPS, useEdits } from "./edits";
 import { EffectDetails, EffectView } from "./EffectView";
 import { Matrix, type Place } from "./Matrix";
 import type { Clip, Effect, TemplateFacts, TemplateList } from "./types";
@@ -92,7 +92,7 @@ function Opened({ store, facts, list, onClose }: OpenedProps) {
     { keys: "Escape", what: "Close the template", run: onClose },
   ]);
   const poses = facts.clips.find((one) => one.name === shownClip && one.frames !== null) ?? facts.clips[facts.poses ?? -1];
-  const examples = useMemo(() => facts.clips.slice(-MOST_CLIPS), [facts]);
+  const examples = useMemo(() => facts.clips.slice(-MAX_CLIPS), [facts]);
   return (
     <article className="template" aria-label={facts.name}>
       <Group justify="space-between" wrap="nowrap" align="flex-start">

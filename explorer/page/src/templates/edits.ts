@@ -17,14 +17,14 @@ export interface Edits {
 }
 
 const NO_WEIGHTS: Weights = {};
-export const MOST_WEIGHT = 1000;
+export const MAX_WEIGHT = 1000;
 
 /** Return weights as an address may hold them: numbers from 0 to 1000 that are not 1. */
 export function soundWeights(given: unknown): Weights {
   if (typeof given !== "object" || given === null || Array.isArray(given)) return NO_WEIGHTS;
   const sound = Object.entries(given).filter(
     (entry): entry is [string, number] =>
-      typeof entry[1] === "number" && entry[1] >= 0 && entry[1] <= MOST_WEIGHT && entry[1] !== 1,
+      typeof entry[1] === "number" && entry[1] >= 0 && entry[1] <= MAX_WEIGHT && entry[1] !== 1,
   );
   return sound.length === 0 ? NO_WEIGHTS : Object.fromEntries(sound);
 }
@@ -32,7 +32,7 @@ export function soundWeights(given: unknown): Weights {
 /** Return the weight of a feature after a key in the matrix, null for a key that changes none. */
 export function weightAfter(key: string, weight: number): number | null {
   if (key === "x") return weight === 0 ? 1 : 0;
-  if (key === "+") return Math.min(MOST_WEIGHT, weight + 0.5);
+  if (key === "+") return Math.min(MAX_WEIGHT, weight + 0.5);
   return key === "-" ? Math.max(0, weight - 0.5) : null;
 }
 
@@ -84,7 +84,7 @@ export function askAddress(clips: readonly Clip[]): string {
 }
 
 /** Most clips that an address holds; servers refuse longer addresses. */
-export const MOST_CLIPS = 100;
+export const MAX_CLIPS = 100;
 
 /** Return how many spreads (median absolute deviations) a cost is above the median, null where there is no spread. */
 export function spreadsAbove(cost: number, far: { median: number; spread: number }): number | null {

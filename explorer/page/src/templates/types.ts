@@ -1,4 +1,4 @@
-// What the server answers about templates and queries (explorer/{templates,held_out,learned_queries}.py).
+// What the server answers about templates and queries (explorer/{templates,edit_effect,learned_queries}.py).
 
 import type { Same } from "../api/types";
 import type { Hit, Query } from "../ask/types";

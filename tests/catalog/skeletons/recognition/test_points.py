@@ -13,7 +13,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from kinedex.catalog.features import load_feature_set
-from kinedex.catalog.skeletons.evidence import Evidence
+from kinedex.catalog.skeletons.body_evidence import Evidence
 from kinedex.catalog.skeletons.mappings import load_mappings
 from kinedex.catalog.skeletons.recognition.landmarks import load_landmarks
 from kinedex.catalog.skeletons.recognition.point_centres import stand_ins
@@ -169,10 +169,10 @@ def test_stand_ins_place_a_joint_as_a_rigid_body_has_it() -> None:
     """The naive twin places the joint frame by frame, in the axes of three markers."""
     random = np.random.default_rng(1)
     frames = 20
-    turns = np.linalg.qr(random.normal(size=(frames, 3, 3)))[0]
-    turns *= np.sign(np.linalg.det(turns))[:, None, None]
+    rotations = np.linalg.qr(random.normal(size=(frames, 3, 3)))[0]
+    rotations *= np.sign(np.linalg.det(rotations))[:, None, None]
     body = random.normal(size=(5, 3))
-    moved = np.einsum("kab,nb->nak", turns, body) + random.normal(size=(1, 3, frames))
+    moved = np.einsum("kab,nb->nak", rotations, body) + random.normal(size=(1, 3, frames))
     labels = ("a", "b", "c", "d")
     places = dict(zip(labels, moved[:4].copy(), strict=True))
     places["a"][:, 3:6] = np.nan

@@ -13,7 +13,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from kinedex.catalog.features import load_feature_set
-from kinedex.catalog.skeletons.evidence import Evidence
+from kinedex.catalog.skeletons.body_evidence import Evidence
 from kinedex.catalog.skeletons.mappings import load_skeleton
 from kinedex.catalog.skeletons.recognition.named_joints import polyline_point
 from kinedex.catalog.skeletons.recognition.proposal import mapping_yaml
@@ -30,7 +30,7 @@ def test_a_body_of_a_dialect_comes_in_with_its_joints_in_place(name: str) -> Non
     evidence, truth = evidence_of(DIALECTS[name])
     fit = recognise_tree("x", evidence, JOINTS)
     assert fit.unknown == ()
-    placed = dict(zip(JOINTS, fit.apply(evidence.places, JOINTS), strict=True))
+    placed = dict(zip(JOINTS, fit.apply(evidence.positions, JOINTS), strict=True))
     far = {joint: np.linalg.norm(placed[joint] - place, axis=0).max() for joint, place in truth.items()}
     assert {joint: round(float(d), 3) for joint, d in far.items() if d > NEAR_M} == {}
     assert fit.confidence > 0.6 or name == "nameless"
@@ -50,7 +50,9 @@ def test_a_turned_body_comes_in_upright_with_the_same_joints(name: str, turn: st
     turned, _ = evidence_of(DIALECTS[name], 24, TURNS[turn])
     fits = [recognise_tree("x", evidence, JOINTS) for evidence in (straight, turned)]
     assert fits[0].joints == fits[1].joints
-    heights = [fit.apply(evidence.places, JOINTS)[:, 1] for fit, evidence in zip(fits, (straight, turned), strict=True)]
+    heights = [
+        fit.apply(evidence.positions, JOINTS)[:, 1] for fit, evidence in zip(fits, (straight, turned), strict=True)
+    ]
     np.testing.assert_allclose(heights[1], heights[0], atol=1e-9)
     assert np.linalg.det(fits[1].mapping.axes) == pytest.approx(1.0)
 
@@ -69,8 +71,8 @@ def test_named_sides_on_the_wrong_side_are_left_handed_axes_and_doubtful() -> No
     assert np.linalg.det(fit.mapping.axes) == pytest.approx(-1.0)
     assert fit.confidence < 0.6
     assert any("left-handed" in reason for reason in fit.reasons)
-    left, right = (fit.apply(evidence.places, JOINTS)[JOINTS.index(joint)] for joint in ("lhip", "rhip"))
-    toes, ankle = (fit.apply(evidence.places, JOINTS)[JOINTS.index(joint)] for joint in ("ltoes", "lankle"))
+    left, right = (fit.apply(evidence.positions, JOINTS)[JOINTS.index(joint)] for joint in ("lhip", "rhip"))
+    toes, ankle = (fit.apply(evidence.positions, JOINTS)[JOINTS.index(joint)] for joint in ("ltoes", "lankle"))
     assert np.cross([0, 1, 0], (toes - ankle)[:, 0]) @ (left - right)[:, 0] > 0
 
 
@@ -115,7 +117,7 @@ def part_of(evidence: Evidence, kept: Callable[[str], bool]) -> Evidence:
             parent = evidence.parents[parent]
         parents.append(index.index(parent) if parent >= 0 else -1)
     offsets = np.array([rest[i] - (rest[index[p]] if p >= 0 else 0) for i, p in zip(index, parents, strict=True)])
-    return Evidence(tuple(evidence.names[i] for i in index), evidence.places[index], tuple(parents), offsets)
+    return Evidence(tuple(evidence.names[i] for i in index), evidence.positions[index], tuple(parents), offsets)
 
 
 @pytest.mark.parametrize(
@@ -130,7 +132,7 @@ def test_half_a_body_comes_in_with_the_joints_that_it_has(words: tuple[str, ...]
     half = part_of(whole, lambda name: name.startswith(words))
     fit = recognise_tree("x", half, JOINTS)
     assert set(unknown) <= set(fit.unknown)
-    placed = dict(zip(JOINTS, fit.apply(half.places, JOINTS), strict=True))
+    placed = dict(zip(JOINTS, fit.apply(half.positions, JOINTS), strict=True))
     for joint in set(truth) - set(fit.unknown):
         assert np.linalg.norm(placed[joint] - truth[joint], axis=0).max() < NEAR_M
 
@@ -156,7 +158,7 @@ def hand() -> Evidence:
 def dog() -> Evidence:
     """A standing dog under the names of a human: the trunk level, four legs alike, and a tail."""
     evidence, _ = evidence_of(DIALECTS["lafan1"], 1)
-    places = evidence.places[:, :, 0].copy()
+    places = evidence.positions[:, :, 0].copy()
     for i, name in enumerate(evidence.names):
         if name.startswith(("Spine", "Neck", "Head")):
             places[i] = [0, 0.6, 0.9 * (places[i][1] - 0.97) / 0.45]
@@ -230,7 +232,7 @@ def test_the_mapping_that_is_written_out_places_the_same_joints(tmp_path: Path, 
     own = load_skeleton(tmp_path / "own.yaml", JOINTS)
     nodes = {node: i for i, node in enumerate(evidence.names)}
     np.testing.assert_allclose(
-        own.apply("x", nodes, evidence.places, JOINTS), fit.apply(evidence.places, JOINTS), atol=1e-5
+        own.apply("x", nodes, evidence.positions, JOINTS), fit.apply(evidence.positions, JOINTS), atol=1e-5
     )
 
 

@@ -11,8 +11,8 @@ import numpy as np
 import polars as pl
 import pytest
 
+from kinedex.catalog.camera_recordings import load_recordings
 from kinedex.catalog.keypoint_sets import load_keypoint_set
-from kinedex.catalog.recordings import load_recordings
 from kinedex.ops.errors import KinedexError, SourceError
 from kinedex.storage.formats.cameras.file_patterns import find_files, match_cameras, natural_key
 from kinedex.storage.formats.cameras.keypoint_tables import read_keypoint_table

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from kinedex.catalog.recordings import load_recordings
+from kinedex.catalog.camera_recordings import load_recordings
 from kinedex.ops.errors import KinedexError, SourceError
 from kinedex.storage.formats.cameras.masks import read_mask
 from kinedex.storage.formats.cameras.recording import Recording, read_recording

@@ -10,13 +10,13 @@ import numpy as np
 import pytest
 import yaml
 
+from kinedex.catalog.camera_recordings import load_recordings, parse_recordings
 from kinedex.catalog.cameras import Camera
 from kinedex.catalog.configs import parse_yaml
 from kinedex.catalog.keypoint_sets import load_keypoint_set
-from kinedex.catalog.recordings import load_recordings, parse_recordings
 from kinedex.ops.errors import ConfigError
 from kinedex.ops.tracking.triangulation import triangulate
-from kinedex.pipelines.tracking.recordings import named_files
+from kinedex.pipelines.tracking.observed_recordings import named_files
 from kinedex.storage.formats.cameras.recording import Recording, read_recording
 from kinedex.storage.formats.motion.positions import parse_trc
 from tests.camera_files import Filmed, cameras, easymocap, filmed, opencv, openpose, save_json, toml
@@ -247,7 +247,7 @@ def test_faces_and_feet_are_where_the_keypoint_set_puts_them(balancing: Recordin
     assert balancing.keypoint_set is not None
     starts = {"neck": 0.5 * (places["left_shoulder"] + places["right_shoulder"])}
     starts |= {f"{side[0]}ankle": places[f"{side}_ankle"] for side in ("left", "right")}
-    for name, place in balancing.keypoint_set.places.items():
+    for name, place in balancing.keypoint_set.positions.items():
         if place.node in starts and not place.joint:
             unit_m = 0.17 if place.bone else 1.0
             expected = unit_m * float(np.linalg.norm(place.offset))

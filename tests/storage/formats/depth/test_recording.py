@@ -176,7 +176,7 @@ def test_a_background_is_measured_where_the_images_show_the_room(walk: Recorded,
         assert (np.abs(found.background - room(walk.camera)) < 1e-3).mean() > 0.9
         assert any("background: auto, for the images show the room" in note for note in found.notes) == noted
     assert "all of which counts as the person; write `auto`" in read(walk, background="none").notes[0]
-    monkeypatch.setattr(recording_reader, "MOST_BACKGROUND_BYTES", 0)
+    monkeypatch.setattr(recording_reader, "MAX_BACKGROUND_BYTES", 0)
     monkeypatch.setattr(recording_reader, "SAMPLE", 3)
     assert any("measured in 3 frames, evenly spaced" in note for note in read(walk, background="auto").notes)
 

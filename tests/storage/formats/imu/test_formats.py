@@ -61,8 +61,9 @@ def spoken(table: str) -> str:
 
 FILES: dict[str, tuple[Callable[[Path], Path], str, list[str], str]] = {
     "mtmanager, matrices": (text(mtmanager_text(KNOWN), "MT_01_00B421ED.txt"), "mtmanager", ["00B421ED"], "agq"),
-    "mtmanager, quaternions": (text(mtmanager_text(KNOWN, separator=" ", turns="quat")), "mtmanager", ["a"], "agq"),
-    "mtmanager, Euler angles": (text(mtmanager_text(KNOWN, separator=";", turns="euler")), "mtmanager", ["a"], "agq"),
+    "mtmanager, quaternions": (text(mtmanager_text(KNOWN, separator=" ", rotations="quat")), "mtmanager", ["a"], "agq"),
+    "mtmanager, Euler angles": (text(mtmanager_text(KNOWN, separator=";", rotations="euler")), "mtmanager", ["a"],
+    "agq"),
     "dot": (text(dot_text(KNOWN), "a.csv"), "dot", ["left"], "gq"),
     "opal": (text(opal_text(KNOWN), "a.csv"), "opal", ["Lumbar", "Foot"], "agmq"),
     "opal, format 7": (text(opal7_text(KNOWN), "a.csv"), "opal", ["Lumbar", "Foot"], "agmq"),

@@ -9,7 +9,7 @@ import pytest
 
 from kinedex.ops.errors import SourceError
 from kinedex.storage.formats import source_files
-from kinedex.storage.formats.labels import elan, tables, texts, webvtt
+from kinedex.storage.formats.labels import elan, label_tables, texts, webvtt
 from kinedex.storage.formats.labels.formats import FORMATS, read_labels
 
 EAF = (
@@ -45,7 +45,7 @@ def refusal(folder: Path, ending: str, text: str) -> str:
 def test_a_file_beyond_the_size_is_refused_before_it_is_read(tmp_path: Path, ending: str) -> None:
     path = tmp_path / f"x.{ending}"
     with path.open("wb") as file:
-        os.truncate(file.fileno(), 3 * source_files.MOST_BYTES)
+        os.truncate(file.fileno(), 3 * source_files.MAX_BYTES)
     with pytest.raises(SourceError, match=r"has 192\.0 MB; label files have at most 64 MB: divide it by takes"):
         read_labels(path)
 
@@ -53,9 +53,9 @@ def test_a_file_beyond_the_size_is_refused_before_it_is_read(tmp_path: Path, end
 @pytest.mark.parametrize("ending", FORMATS)
 def test_long_texts_are_read_up_to_the_limit(tmp_path: Path, ending: str) -> None:
     form = ONE[ending]
-    (label,) = read_labels(write(tmp_path, ending, form.format(take="t", text="x" * texts.MOST_LETTERS))).segments
-    assert len(label.label) == texts.MOST_LETTERS
-    reason = refusal(tmp_path, ending, form.format(take="t", text="x" * (texts.MOST_LETTERS + 1)))
+    (label,) = read_labels(write(tmp_path, ending, form.format(take="t", text="x" * texts.MAX_LETTERS))).segments
+    assert len(label.label) == texts.MAX_LETTERS
+    reason = refusal(tmp_path, ending, form.format(take="t", text="x" * (texts.MAX_LETTERS + 1)))
     assert "has 100,001 characters or more; a class or a take's name has at most 100,000" in reason
 
 
@@ -70,7 +70,7 @@ def test_long_texts_are_read_up_to_the_limit(tmp_path: Path, ending: str) -> Non
 def test_more_labels_than_the_limit_are_refused(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, ending: str, head: str, row: str
 ) -> None:
-    monkeypatch.setattr(texts, "MOST_LABELS", 10)
+    monkeypatch.setattr(texts, "MAX_LABELS", 10)
     rows = [row.format(number, number + 1) for number in range(11)]
     assert len(read_labels(write(tmp_path, ending, head + "".join(rows[:10]))).segments) == 10
     assert "has more than 10 labels, the most of one file" in refusal(tmp_path, ending, head + "".join(rows))
@@ -79,7 +79,7 @@ def test_more_labels_than_the_limit_are_refused(
 def test_more_labels_than_the_limit_are_refused_in_json_and_eaf(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(texts, "MOST_LABELS", 10)
+    monkeypatch.setattr(texts, "MAX_LABELS", 10)
     one = '{"class": "walk", "start": 0, "stop": 5}'
     many = '{{"takes": [{{"take": "t", "segments": [{}]}}]}}'.format(", ".join([one] * 11))
     assert "has more than 10 labels" in refusal(tmp_path, "json", many)
@@ -93,7 +93,7 @@ def test_more_labels_than_the_limit_are_refused_in_json_and_eaf(
 def test_lists_and_objects_of_json_are_counted_before_they_are_made(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(tables, "_MOST_VALUES", 1000)
+    monkeypatch.setattr(label_tables, "_MAX_VALUES", 1000)
     reason = refusal(tmp_path, "json", '{"takes": [' + "[]," * 1000 + "0]}")
     assert "has 1,002 lists and objects; JSON files of labels have at most 1,000" in reason
 
@@ -150,7 +150,7 @@ def test_references_of_thousands_of_digits_are_refused(tmp_path: Path) -> None:
 
 
 def test_blocks_of_lines_are_bounded(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(webvtt, "MOST_LABELS", 10)
+    monkeypatch.setattr(webvtt, "MAX_LABELS", 10)
     assert "has more than 10 lines without a blank one" in refusal(tmp_path, "vtt", "WEBVTT\n\nNOTE\n" + "a\n" * 20)
 
 

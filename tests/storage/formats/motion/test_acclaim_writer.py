@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 
 from kinedex.ops.body import kinematics
 from kinedex.ops.errors import ParameterError
-from kinedex.ops.synth.body import cast
+from kinedex.ops.synth.body import draw_actor
 from kinedex.ops.synth.performance import perform_clip
 from kinedex.ops.synth.solve import columns
 from kinedex.storage.formats.motion.acclaim import AmcFile
@@ -28,8 +28,8 @@ DIALECTS = (
 
 @pytest.mark.parametrize("dialect", DIALECTS)
 def test_joints_are_where_the_body_put_them_after_writing_and_reading(dialect: Dialect, tmp_path: Path) -> None:
-    body = cast(4, 9).body
-    angles = perform_clip(cast(4, 9), "cartwheelLeft", 0, 9).angles[::25]
+    body = draw_actor(4, 9).body
+    angles = perform_clip(draw_actor(4, 9), "cartwheelLeft", 0, 9).angles[::25]
     write_asf(tmp_path / "one.asf", body, "one", dialect)
     size = write_amc(tmp_path / "one.amc", columns(body), angles, dialect)
     assert (tmp_path / "one.amc").stat().st_size == size
@@ -65,5 +65,5 @@ def test_numbers_are_written_as_usual() -> None:
 
 def test_a_table_that_does_not_fit_the_columns_is_refused(tmp_path: Path) -> None:
     with pytest.raises(ParameterError, match="one column for every dof"):
-        write_amc(tmp_path / "one.amc", columns(cast(0, 1).body), np.zeros((2, 5)), Dialect())
+        write_amc(tmp_path / "one.amc", columns(draw_actor(0, 1).body), np.zeros((2, 5)), Dialect())
     assert not list(tmp_path.iterdir())

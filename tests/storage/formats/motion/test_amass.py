@@ -34,18 +34,18 @@ COCO_17 = load_keypoint_set("coco-17").order
 def rest(names: tuple[str, ...] = SMPLH) -> np.ndarray:
     """Joints at rest (J, 3): the standing figure, with fingers that go on from the wrists."""
     placed = {mix.node: STANDING[joint] for joint, mixes in MAPPING.joints.items() if (mix := mixes[0]) and mix.node}
-    places = []
+    positions = []
     for name in names:
         side = name.split("_")[0]
         if name in placed:
-            places.append(placed[name])
+            positions.append(placed[name])
         elif name in HANDS or name.endswith("_hand"):
             wrist, step = np.array(placed[f"{side}_wrist"]), (int(name[-1]) if name[-1].isdigit() else 1)
             apart = 0.01 * HANDS.index(name) if name in HANDS else 0.0
-            places.append(wrist + np.array([apart, -0.05 * step, 0.0]))
+            positions.append(wrist + np.array([apart, -0.05 * step, 0.0]))
         else:
-            places.append({"spine3": (0, 1.35, 0)}.get(name, (0, 1.6, 0.05)))
-    return np.array(places, float)
+            positions.append({"spine3": (0, 1.35, 0)}.get(name, (0, 1.6, 0.05)))
+    return np.array(positions, float)
 
 
 def parents(names: tuple[str, ...] = SMPLH) -> list[int]:
@@ -65,10 +65,10 @@ def parents(names: tuple[str, ...] = SMPLH) -> list[int]:
 def angles(frames: int, joints: int = 52, seed: int = 0) -> dict[str, Any]:
     """The arrays of an AMASS file: a figure that stands in axes with Z up and moves about a little."""
     random = np.random.default_rng(seed)
-    turns = random.normal(0, 0.2, (frames, joints, 3))
-    turns[:, 0] = [np.pi / 2, 0, 0]
+    rotations = random.normal(0, 0.2, (frames, joints, 3))
+    rotations[:, 0] = [np.pi / 2, 0, 0]
     return {
-        "poses": turns.reshape(frames, -1), "trans": random.normal(0, 0.1, (frames, 3)), "betas": np.zeros(16),
+        "poses": rotations.reshape(frames, -1), "trans": random.normal(0, 0.1, (frames, 3)), "betas": np.zeros(16),
         "gender": np.array("female"), "mocap_framerate": np.array(120.0),
     }  # fmt: skip
 
@@ -137,8 +137,8 @@ def test_angles_and_models_of_other_bodies_go_together_by_name(tmp_path: Path) -
     smplx = (*BODY, *FACE, *HANDS)
     whole = read(save(tmp_path / "a.npz", angles(3)), table(tmp_path / "h.csv"))
     wide = angles(3)
-    turns = wide["poses"].reshape(3, 52, 3)
-    wide["poses"] = np.concatenate([turns[:, :22], np.zeros((3, 3, 3)), turns[:, 22:]], axis=1).reshape(3, -1)
+    rotations = wide["poses"].reshape(3, 52, 3)
+    wide["poses"] = np.concatenate([rotations[:, :22], np.zeros((3, 3, 3)), rotations[:, 22:]], axis=1).reshape(3, -1)
     np.testing.assert_allclose(
         read(save(tmp_path / "b.npz", wide), table(tmp_path / "x.csv", smplx)).positions, whole.positions, atol=1e-12
     )
@@ -276,7 +276,7 @@ def test_what_is_wrong_with_a_model_is_said(tmp_path: Path, fault: str) -> None:
 
 def test_angles_are_read_as_they_are_written(tmp_path: Path) -> None:
     poses = parse_amass(save(tmp_path / "a.npz", GOOD))
-    assert (poses.names, poses.gender, poses.turns.shape) == (SMPLH, "female", (3, 52, 3))
+    assert (poses.names, poses.gender, poses.rotations.shape) == (SMPLH, "female", (3, 52, 3))
 
 
 def pickled(path: Path, arrays: dict[str, Any]) -> Path:
@@ -287,11 +287,11 @@ def pickled(path: Path, arrays: dict[str, Any]) -> Path:
 def upright_angles(frames: int = 5) -> dict[str, Any]:
     """Angles of a body that stands along Y, as estimators and AIST++ have it."""
     arrays = angles(frames, 24)
-    turns = arrays["poses"].reshape(frames, -1, 3)
-    turns[:, 0] = 0.0
-    places = np.zeros((frames, 3))
-    places[:, 2] = 0.1 * np.arange(frames)
-    return {"poses": turns.reshape(frames, -1), "trans": places}
+    rotations = arrays["poses"].reshape(frames, -1, 3)
+    rotations[:, 0] = 0.0
+    positions = np.zeros((frames, 3))
+    positions[:, 2] = 0.1 * np.arange(frames)
+    return {"poses": rotations.reshape(frames, -1), "trans": positions}
 
 
 def test_aist_is_in_centimetres_at_60_hz_and_stands_along_y(tmp_path: Path) -> None:
@@ -312,19 +312,19 @@ def test_aist_is_in_centimetres_at_60_hz_and_stands_along_y(tmp_path: Path) -> N
 def test_angles_of_estimators_come_in_parts_as_matrices_and_nested(tmp_path: Path) -> None:
     model = table(tmp_path / "model.csv", (*BODY, "left_hand", "right_hand"))
     arrays = upright_angles()
-    turns = arrays["poses"].reshape(5, 24, 3)
+    rotations = arrays["poses"].reshape(5, 24, 3)
     whole = read(
         save(tmp_path / "a.npz", {"fps": 30, "smpl_poses": arrays["poses"], "smpl_trans": arrays["trans"]}), model
     )
     parts = {
-        "global_orient": turns[:, 0],
-        "body_pose": turns[:, 1:],
+        "global_orient": rotations[:, 0],
+        "body_pose": rotations[:, 1:],
         "transl": arrays["trans"],
         "betas": np.zeros((5, 10)),
     }
     matrices = {
-        "global_orient": axisangle.matrices(turns[:, 0]).reshape(5, 1, 3, 3),
-        "body_pose": axisangle.matrices(turns[:, 1:].reshape(-1, 3)).reshape(5, 23, 3, 3),
+        "global_orient": axisangle.matrices(rotations[:, 0]).reshape(5, 1, 3, 3),
+        "body_pose": axisangle.matrices(rotations[:, 1:].reshape(-1, 3)).reshape(5, 23, 3, 3),
         "transl": arrays["trans"],
     }
     for path in (

@@ -31,8 +31,8 @@ def parse(folder: Path, text: str | bytes) -> Bvh:
 
 
 def positions(bvh: Bvh) -> dict[str, np.ndarray]:
-    places, _ = kinematics.forward(bvh.nodes, bvh.channels)
-    return {node.name: places[i].T for i, node in enumerate(bvh.nodes)}
+    positions, _ = kinematics.forward(bvh.nodes, bvh.channels)
+    return {node.name: positions[i].T for i, node in enumerate(bvh.nodes)}
 
 
 ORDERS = st.lists(st.permutations(["Xrotation", "Yrotation", "Zrotation"]), min_size=4, max_size=4)
@@ -77,7 +77,7 @@ def test_end_sites_are_nodes_and_those_of_no_length_say_nothing(folder: Path) ->
     bvh = parse(folder, TEXT)
     names = [node.name for node in bvh.nodes]
     assert names == ["hips", "thigh", "shin", "foot", "foot_end", "foot_end2", "spine", "twist", "head", "head_end"]
-    assert set(names) - set(bvh.places) == {"head_end"}
+    assert set(names) - set(bvh.indices) == {"head_end"}
 
 
 def on_one_line(text: str) -> str:
@@ -122,13 +122,13 @@ def test_names_keep_prefixes_spaces_and_letters_of_every_code_page(folder: Path)
     text = TEXT
     for old, new in names.items():
         text = text.replace(f"JOINT {old}", f"JOINT {new}")
-    assert set(names.values()) < set(parse(folder, text).places)
-    assert "Pied \xe9" in parse(folder, text.replace("下半身", "x").encode("latin-1")).places
+    assert set(names.values()) < set(parse(folder, text).indices)
+    assert "Pied \xe9" in parse(folder, text.replace("下半身", "x").encode("latin-1")).indices
 
 
 def test_joints_of_one_name_are_told_apart_and_said(folder: Path) -> None:
     bvh = parse(folder, TEXT.replace("JOINT shin", "JOINT foot").replace("JOINT twist", "JOINT foot_end"))
-    assert [name for name in bvh.places if "foot" in name] == [
+    assert [name for name in bvh.indices if "foot" in name] == [
         "foot",
         "foot#2",
         "foot#2_end",

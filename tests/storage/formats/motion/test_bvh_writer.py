@@ -30,7 +30,7 @@ def test_joints_come_back_within_the_error_of_the_fit(tmp_path: Path, motion: Jo
     again = kinedex.read(path)
     assert (again.info["skeleton"], again.rate_hz) == ("named", 30.0)
     order = [motion.joints.index(joint) for joint in again.joints]
-    apart = np.linalg.norm(again.positions - motion.places[:, order], axis=2)
+    apart = np.linalg.norm(again.positions - motion.positions[:, order], axis=2)
     assert apart.mean() < 0.005
     assert apart.max() < 0.03
     first = path.read_bytes()
@@ -46,7 +46,7 @@ def test_only_the_root_has_places_and_the_bones_are_those_of_the_body(tmp_path: 
     offsets = {node.name: node.before for node in bvh.nodes}
     for joint in ("belly", "lshoulder", "lhip", "rknee", "lfingers", "rtoes"):
         np.testing.assert_allclose(offsets[joint], BODY.offsets[CHAIN.joint(joint)], atol=1e-3)
-    np.testing.assert_allclose(bvh.channels[:, :3], motion.places[:, CHAIN.joint("root")], atol=0.01)
+    np.testing.assert_allclose(bvh.channels[:, :3], motion.positions[:, CHAIN.joint("root")], atol=0.01)
     assert np.ptp(bvh.channels[:, 3:6], axis=0).max() > 1  # the root turns
 
 
@@ -56,22 +56,22 @@ def test_clavicles_beside_the_neck_stay_there(tmp_path: Path, motion: JointMotio
     chest = turned[:, CHAIN.nodes.index("spine2")]
     for joint, x in (("lclavicle", 0.06), ("rclavicle", -0.06)):
         positions[CHAIN.joint(joint)] += np.einsum("tab,b->at", chest, [x, -0.03, 0.02])
-    beside = replace(motion, places=positions.transpose(2, 0, 1).astype(np.float32))
+    beside = replace(motion, positions=positions.transpose(2, 0, 1).astype(np.float32))
     write_chain_bvh(tmp_path / "a.bvh", beside)
     again = kinedex.read(tmp_path / "a.bvh")
     order = [CHAIN.joints.index(joint) for joint in again.joints]
-    assert np.linalg.norm(again.positions - beside.places[:, order], axis=2).max() < 0.03
+    assert np.linalg.norm(again.positions - beside.positions[:, order], axis=2).max() < 0.03
 
 
 def test_missing_joints_and_invalid_frames_are_refused(tmp_path: Path, motion: JointMotion) -> None:
-    lost = motion.places.copy()
+    lost = motion.positions.copy()
     lost[3:5, CHAIN.joint("lknee")] = np.nan
     with pytest.raises(KinedexError, match=r"invalid in 2 of its 12 frames, where lknee have no place.* fill_gap"):
-        write_chain_bvh(tmp_path / "a.bvh", replace(motion, places=lost))
+        write_chain_bvh(tmp_path / "a.bvh", replace(motion, positions=lost))
     lost[:, CHAIN.joint("lknee")] = np.nan
     with pytest.raises(KinedexError, match="take 'a' has no lknee; a BVH needs every joint"):
-        write_chain_bvh(tmp_path / "a.bvh", replace(motion, places=lost))
-    fewer = replace(motion, joints=motion.joints[1:], places=motion.places[:, 1:])
+        write_chain_bvh(tmp_path / "a.bvh", replace(motion, positions=lost))
+    fewer = replace(motion, joints=motion.joints[1:], positions=motion.positions[:, 1:])
     with pytest.raises(KinedexError, match=f"take 'a' has no {motion.joints[0]}"):
         write_chain_bvh(tmp_path / "a.bvh", fewer)
 

@@ -148,7 +148,7 @@ def test_analog_channels_cost_nothing_and_stretches_have_no_seam(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     plain = parse_c3d(walking(tmp_path / "a.c3d", 50))
-    monkeypatch.setattr("kinedex.storage.formats.motion.c3d._AT_ONCE", 7 * len(LABELS))
+    monkeypatch.setattr("kinedex.storage.formats.motion.c3d._BLOCK_NUMBERS", 7 * len(LABELS))
     with_forces = parse_c3d(walking(tmp_path / "b.c3d", 50, analog=12))
     np.testing.assert_array_equal(with_forces.positions, plain.positions)
     assert with_forces.names == plain.names

@@ -13,14 +13,14 @@ from kinedex.catalog.features import load_feature_set
 from kinedex.catalog.skeletons.mappings import load_mappings
 from kinedex.ops.body.facing_direction import (
     Placement,
-    mirrored_places,
+    mirrored_positions,
     mirrored_quaternions,
     placement_of,
     start_at_origin,
 )
 from kinedex.ops.body.resample import covered_frames, resample
 from kinedex.ops.errors import ParameterError, SourceError
-from kinedex.ops.synth.body import cast
+from kinedex.ops.synth.body import draw_actor
 from kinedex.ops.synth.performance import perform_clip
 from kinedex.ops.synth.solve import columns
 from kinedex.pipelines.ingestion.analysis import analyse
@@ -68,7 +68,7 @@ def sources(tmp_path_factory: pytest.TempPathFactory) -> list[SourceCut]:
         if joint.name.endswith("LeftForeArm"):
             joint.offset = (31.0, -2.0, 0.5)
     (folder / "a.bvh").write_text(bvh_text(body, dance(body, 20), newline="\r\n"), newline="")
-    actor, dialect = cast(4, 9), Dialect(decimals=6)
+    actor, dialect = draw_actor(4, 9), Dialect(decimals=6)
     write_asf(folder / "b.asf", actor.body, "b", dialect)
     write_amc(folder / "b.amc", columns(actor.body), perform_clip(actor, "kickRight1Reps", 0, 9).angles, dialect)
     amc = body_of(folder / "b.amc", folder / "b.asf")
@@ -82,7 +82,7 @@ def check_mirrored(cut: SourceCut, folder: Path) -> None:
     """Check that a mirrored cut is the mirror image of its source, and gives the words of the image."""
     source = body_of(cut.source, cut.skeleton)
     found = write(replace(cut, mirror=True), folder)
-    image = np.moveaxis(mirrored_places(places(source), JOINTS), 0, 2)
+    image = np.moveaxis(mirrored_positions(places(source), JOINTS), 0, 2)
     np.testing.assert_allclose(found.positions, image, atol=1e-9)
     turned = replace(source, positions=image, orientation=mirrored_quaternions(source.orientation.T).T)
     words = analyse(turned, FEATURES, 30.0)[2]
@@ -116,7 +116,7 @@ def test_a_cut_in_place_begins_above_the_origin_and_faces_z(sources: list[Source
         source = places(body_of(cut.source, cut.skeleton))
         for mirror in (False, True):
             found = places(write(replace(cut, start=2, in_place=True, mirror=mirror, inner=(7, 9)), tmp_path))
-            before = (mirrored_places(source, JOINTS) if mirror else source)[2:]
+            before = (mirrored_positions(source, JOINTS) if mirror else source)[2:]
             np.testing.assert_allclose(found, start_at_origin(before, placement(before[5])), atol=1e-4)
             assert placement(found[5]) == pytest.approx((0, 0, 0), abs=1e-4)
 

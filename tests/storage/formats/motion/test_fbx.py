@@ -85,17 +85,17 @@ def test_a_scene_whose_nodes_rest_in_a_pose_turns_as_it_should(tmp_path: Path) -
 
 def test_a_bind_pose_is_the_rest_pose(tmp_path: Path) -> None:
     scene = dancing_fbx(mixamo(), dance(mixamo(), 12))
-    places: dict[int, np.ndarray] = {}
+    positions: dict[int, np.ndarray] = {}
     numbers = {part.values[1][1]: part.values[0] for part in scene.objects.below if part.name == "Model"}
 
     def place(joint: Joint, above: np.ndarray) -> None:
-        places[numbers[joint.name]] = above + np.array(joint.offset)
+        positions[numbers[joint.name]] = above + np.array(joint.offset)
         for child in joint.children:
-            place(child, places[numbers[joint.name]])
+            place(child, positions[numbers[joint.name]])
 
     place(mixamo(), np.zeros(3))
     entries = []
-    for number, at in places.items():
+    for number, at in positions.items():
         matrix = np.eye(4)
         matrix[3, :3] = at
         entries.append(Part("PoseNode", (), [Part("Node", (number,)), Part("Matrix", (matrix.ravel(),))]))
@@ -246,11 +246,11 @@ def test_models_of_others_rest_where_their_bvh_has_them(shared: Path) -> None:
     for name in ("Geno_bind", "Geno_stance"):
         scene = Scene(folder / f"{name}.fbx")
         (group,) = skeletons(scene)
-        _, places, _ = rest_of(scene, group)
+        _, positions, _ = rest_of(scene, group)
         bvh = parse_bvh(folder / f"{name}.bvh")
         expected, _ = kinematics.forward(bvh.nodes, bvh.channels)
         named = {node.name: expected[i, :, 0] for i, node in enumerate(bvh.nodes)}
-        for node, place in zip(group.nodes, places, strict=True):
+        for node, place in zip(group.nodes, positions, strict=True):
             np.testing.assert_allclose(place, named[scene.nodes[node].name], atol=0.001)  # cm
 
 
@@ -264,8 +264,8 @@ def test_a_walk_of_others_is_that_of_its_bvh(shared: Path) -> None:
     assert (figure.rate_hz, figure.frames) == (60.0, 251)
     bvh = parse_bvh(folder / "walk01.bvh")
     expected, _ = kinematics.forward(bvh.nodes, bvh.channels)
-    places, _ = figure.poses.at(np.arange(0, 251, 5), [])
+    positions, _ = figure.poses.at(np.arange(0, 251, 5), [])
     named = {node.name: 0.01 * expected[i, :, ::2] for i, node in enumerate(bvh.nodes)}
-    for name, place in zip(figure.names, places, strict=True):
+    for name, place in zip(figure.names, positions, strict=True):
         if name in named:
             np.testing.assert_allclose(place, named[name], atol=2e-4)

@@ -81,13 +81,13 @@ def test_what_a_library_writes_is_read(tmp_path: Path) -> None:
 def test_nodes_above_the_skeleton_move_it(tmp_path: Path) -> None:
     """An armature that is turned, scaled and moved, as converters from centimetres with Z up leave it."""
     document = Builder()
-    places = document.nodes(mixamo(), scale=1.0)
-    document.clip("dance", places, mixamo(), dance(mixamo(), 12), scale=1.0)
-    document.json["skins"] = [{"joints": list(places.values())}]
+    positions = document.nodes(mixamo(), scale=1.0)
+    document.clip("dance", positions, mixamo(), dance(mixamo(), 12), scale=1.0)
+    document.json["skins"] = [{"joints": list(positions.values())}]
     half = np.sqrt(0.5)
-    turned = {"rotation": [-half, 0, 0, half], "scale": [0.01] * 3, "children": [len(places) + 1]}
+    turned = {"rotation": [-half, 0, 0, half], "scale": [0.01] * 3, "children": [len(positions) + 1]}
     back = [1, 0, 0, 0, 0, 0, 1, 0, 0, -1, 0, 0, 0, 0, 0, 1]  # a matrix, columns first: Y to Z
-    document.json["nodes"] += [turned, {"name": "Armature", "matrix": back, "children": [places["mixamorig:Hips"]]}]
+    document.json["nodes"] += [turned, {"name": "Armature", "matrix": back, "children": [positions["mixamorig:Hips"]]}]
     (tmp_path / "a.glb").write_bytes(document.glb())
     assert_same(read(tmp_path / "a.glb"), twin(tmp_path, mixamo()))
 
@@ -124,15 +124,15 @@ def test_rest_turns_of_nodes_do_not_count_as_turns_of_the_body(tmp_path: Path) -
 
 def test_the_rest_pose_is_that_of_binding_where_the_scene_is_in_another(tmp_path: Path) -> None:
     document = dancing_gltf(mixamo(), dance(mixamo(), 12))
-    places = np.zeros((len(mixamo().all()), 3))
+    positions = np.zeros((len(mixamo().all()), 3))
     names = [joint.name for joint in mixamo().all()]
     for joint in mixamo().all():
         for child in joint.children:
-            places[names.index(child.name)] = places[names.index(joint.name)] + 0.01 * np.array(child.offset)
+            positions[names.index(child.name)] = positions[names.index(joint.name)] + 0.01 * np.array(child.offset)
     matrices = np.tile(np.eye(4), (len(names), 1, 1))
     # the mesh was bound with Z up, in centimetres, and somewhere else
     matrices[:, :3, :3] = 0.01 * np.array([[1.0, 0, 0], [0, 0, 1], [0, -1, 0]])
-    matrices[:, :3, 3] = -places - [0.0, 1.0, 0.0]
+    matrices[:, :3, 3] = -positions - [0.0, 1.0, 0.0]
     skin = document.json["skins"][0]
     skin["inverseBindMatrices"] = document.accessor(matrices.transpose(0, 2, 1).reshape(-1, 16))
     for node in document.json["nodes"]:
@@ -142,7 +142,7 @@ def test_the_rest_pose_is_that_of_binding_where_the_scene_is_in_another(tmp_path
     reader = reader_of(path)
     assert isinstance(reader, FigureReader)
     figure = reader.figure(MotionFile(path), ReadSettings())
-    np.testing.assert_allclose(figure.rest - figure.rest[0], places, atol=1e-6)
+    np.testing.assert_allclose(figure.rest - figure.rest[0], positions, atol=1e-6)
     assert "its rest pose is the pose of binding" in figure.evidence
     assert_same(read(path), twin(tmp_path, mixamo()))
 
@@ -163,8 +163,8 @@ def conjugate(q: np.ndarray) -> np.ndarray:
 
 def test_clips_and_figures_are_takes_of_their_own(tmp_path: Path) -> None:
     document = dancing_gltf(mixamo(), dance(mixamo(), 12))
-    places = {node["name"]: i for i, node in enumerate(document.json["nodes"])}
-    document.clip("jump", places, mixamo(), dance(mixamo(), 5, seed=3))
+    positions = {node["name"]: i for i, node in enumerate(document.json["nodes"])}
+    document.clip("jump", positions, mixamo(), dance(mixamo(), 5, seed=3))
     path = tmp_path / "clips.glb"
     path.write_bytes(document.glb())
     assert persons(path) == ("dance", "jump")
@@ -213,22 +213,22 @@ def test_interpolations_agree_where_they_must(tmp_path: Path) -> None:
 def test_numbers_come_strided_sparse_and_as_small_integers(tmp_path: Path) -> None:
     document = dancing_gltf(mixamo(), dance(mixamo(), 12))
     samplers = document.json["animations"][0]["samplers"]
-    turns = values_of(document, samplers[0]["output"])
+    rotations = values_of(document, samplers[0]["output"])
     rows = np.zeros((12, 6), "<f4")
-    rows[:, 1:5] = turns
+    rows[:, 1:5] = rotations
     strided = {"bufferView": document.view(rows.tobytes(), byteStride=24), "byteOffset": 4, "componentType": 5126}
     document.json["accessors"].append(strided | {"count": 12, "type": "VEC4"})
     samplers[0]["output"] = len(document.json["accessors"]) - 1
-    turns = values_of(document, samplers[1]["output"])
+    rotations = values_of(document, samplers[1]["output"])
     sparse = {
         "count": 12,
         "indices": {"bufferView": document.view(np.arange(12, dtype="u1").tobytes()), "componentType": 5121},
-        "values": {"bufferView": document.view(turns.astype("<f4").tobytes())},
+        "values": {"bufferView": document.view(rotations.astype("<f4").tobytes())},
     }
     document.json["accessors"].append({"componentType": 5126, "count": 12, "type": "VEC4", "sparse": sparse})
     samplers[1]["output"] = len(document.json["accessors"]) - 1
-    turns = values_of(document, samplers[2]["output"])
-    samplers[2]["output"] = document.accessor(np.round(turns * 32767), "i2", normalized=True)
+    rotations = values_of(document, samplers[2]["output"])
+    samplers[2]["output"] = document.accessor(np.round(rotations * 32767), "i2", normalized=True)
     (tmp_path / "a.glb").write_bytes(document.glb())
     np.testing.assert_allclose(read(tmp_path / "a.glb").positions, twin(tmp_path, mixamo()).positions, atol=2e-4)
 
@@ -340,8 +340,8 @@ def test_avatars_are_known_by_the_names_of_vrm(tmp_path: Path) -> None:
         )},
     }  # fmt: skip
     document = dancing_gltf(mixamo(""), dance(mixamo(""), 12))
-    places = {node["name"]: i for i, node in enumerate(document.json["nodes"])}
-    human = {bone: {"node": places[name]} for bone, name in bones.items()}
+    positions = {node["name"]: i for i, node in enumerate(document.json["nodes"])}
+    human = {bone: {"node": positions[name]} for bone, name in bones.items()}
     for node in document.json["nodes"]:
         node["name"] = "J_Bip_" + str(len(node["name"]))
     document.json["extensions"] = {"VRMC_vrm": {"humanoid": {"humanBones": human}}}
@@ -365,8 +365,8 @@ def test_avatars_of_vrm_0_are_turned_to_face_ahead(tmp_path: Path) -> None:
         width = 3 if channel["target"]["path"] == "translation" else 4
         values = values_of(document, sampler["output"], width)
         sampler["output"] = document.accessor(values * ([-1, 1, -1] if width == 3 else [-1, 1, -1, 1]))
-    places = {node["name"].removeprefix("mixamorig:"): i for i, node in enumerate(document.json["nodes"])}
-    bones = [{"bone": "hips", "node": places["Hips"]}, *({"bone": name, "node": i} for name, i in places.items())]
+    positions = {node["name"].removeprefix("mixamorig:"): i for i, node in enumerate(document.json["nodes"])}
+    bones = [{"bone": "hips", "node": positions["Hips"]}, *({"bone": name, "node": i} for name, i in positions.items())]
     document.json["extensions"] = {"VRM": {"humanoid": {"humanBones": bones[1:]}}}
     (tmp_path / "a.vrm").write_bytes(document.glb())
     assert_same(read(tmp_path / "a.vrm"), twin(tmp_path, mixamo()))
@@ -394,14 +394,16 @@ def scene_of(bvh: Bvh, frames: int, unit: float) -> Builder:
     channels = bvh.channels[:frames]
     times = document.accessor(np.arange(len(channels)) / bvh.rate_hz)
     for i, node in enumerate(bvh.nodes):
-        turns, moved = np.tile(np.eye(3), (len(channels), 1, 1)), np.tile(node.before, (len(channels), 1))
+        rotations, moved = np.tile(np.eye(3), (len(channels), 1, 1)), np.tile(node.before, (len(channels), 1))
         for step in node.steps:
             track = channels[:, step.column]
             if step.kind >= kinematics.MOVE_X:
                 moved[:, step.kind - kinematics.MOVE_X] += track
             else:
-                turns = turns @ np.array([kinematics.rotation(step.kind, degrees) for degrees in np.rad2deg(track)])
-        w, x, y, z = kinematics.quaternions(turns.reshape(-1, 9).T)
+                rotations = rotations @ np.array(
+                    [kinematics.rotation(step.kind, degrees) for degrees in np.rad2deg(track)]
+                )
+        w, x, y, z = kinematics.quaternions(rotations.reshape(-1, 9).T)
         document.channel(clip, i, "rotation", times, document.accessor(np.stack([x, y, z, w], axis=1)))
         document.channel(clip, i, "translation", times, document.accessor(unit * moved))
         below = [k for k, other in enumerate(bvh.nodes) if other.parent == i]

@@ -38,12 +38,12 @@ def walking(frames: int = 60) -> Take:
     """A figure that walks, swings its limbs and turns."""
     rng = np.random.default_rng(1)
     swing = 0.02 * np.sin(np.linspace(0.0, 20.0, frames) + rng.uniform(0, 6, (24, 3, 1)))
-    places = standing(frames) + swing
+    positions = standing(frames) + swing
     angle = np.linspace(0.0, 4.0, frames)
     turn = np.array([[np.cos(angle), np.sin(angle)], [-np.sin(angle), np.cos(angle)]])
-    places[:, [0, 2]] = np.einsum("abt,jbt->jat", turn, places[:, [0, 2]])
-    places[:, 2] += np.linspace(0.0, 3.0, frames)
-    return Take.from_positions(places.transpose(2, 0, 1), 30.0)
+    positions[:, [0, 2]] = np.einsum("abt,jbt->jat", turn, positions[:, [0, 2]])
+    positions[:, 2] += np.linspace(0.0, 3.0, frames)
+    return Take.from_positions(positions.transpose(2, 0, 1), 30.0)
 
 
 def motion_of(take: Take) -> JointMotion:
@@ -52,10 +52,10 @@ def motion_of(take: Take) -> JointMotion:
 
 def with_gaps(motion: JointMotion) -> JointMotion:
     """The motion without any joint in some frames, and without a knee in another."""
-    places = motion.places.copy()
-    places[20:35] = np.nan
-    places[40, JOINTS.index("lknee")] = np.nan
-    return dataclasses.replace(motion, places=places)
+    positions = motion.positions.copy()
+    positions[20:35] = np.nan
+    positions[40, JOINTS.index("lknee")] = np.nan
+    return dataclasses.replace(motion, positions=positions)
 
 
 @pytest.mark.parametrize("ending", WRITERS)
@@ -84,16 +84,16 @@ def test_gaps_stay_gaps_in_files_of_markers(ending: str, tmp_path: Path) -> None
 @pytest.mark.parametrize("ending", WRITERS)
 def test_joints_that_are_never_seen_are_left_out(ending: str, tmp_path: Path) -> None:
     motion = motion_of(walking())
-    places = motion.places.copy()
-    places[:, [JOINTS.index(name) for name in ("ltoes", "rtoes", "rclavicle")]] = np.nan
+    positions = motion.positions.copy()
+    positions[:, [JOINTS.index(name) for name in ("ltoes", "rtoes", "rclavicle")]] = np.nan
     path = tmp_path / f"a.{ending}"
-    WRITERS[ending][0](path, dataclasses.replace(motion, places=places))
+    WRITERS[ending][0](path, dataclasses.replace(motion, positions=positions))
     text = path.read_bytes()
     for name in ("ltoes", "rclavicle"):
         assert (name if ending == "glb" else MARKER_NAMES[name]).encode() not in text
     again = read(path)
     kept = [JOINTS.index(name) for name in ("root", "lknee", "rankle", "neck", "lelbow", "rwrist")]
-    np.testing.assert_allclose(again.positions[:, kept], places[:, kept], atol=1e-5)
+    np.testing.assert_allclose(again.positions[:, kept], positions[:, kept], atol=1e-5)
 
 
 def test_a_gltf_with_gaps_is_refused(tmp_path: Path) -> None:
@@ -104,7 +104,7 @@ def test_a_gltf_with_gaps_is_refused(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("ending", WRITERS)
 def test_a_motion_without_any_joint_is_refused(ending: str, tmp_path: Path) -> None:
-    empty = dataclasses.replace(motion_of(walking()), places=np.full((3, 24, 3), np.nan, np.float32))
+    empty = dataclasses.replace(motion_of(walking()), positions=np.full((3, 24, 3), np.nan, np.float32))
     with pytest.raises(KinedexError, match="'walk 1' has no"):
         WRITERS[ending][0](tmp_path / "a", empty)
 
@@ -135,12 +135,12 @@ def test_a_trc_has_the_lines_that_opensim_expects(tmp_path: Path) -> None:
 def test_a_c3d_is_read_by_other_libraries_with_equal_numbers(tmp_path: Path) -> None:
     ezc3d, c3d = pytest.importorskip("ezc3d"), pytest.importorskip("c3d")
     motion = with_gaps(motion_of(walking()))
-    motion.places[50, 0] = 0.0  # would be taken for a point that was not seen
+    motion.positions[50, 0] = 0.0  # would be taken for a point that was not seen
     path = tmp_path / "a.c3d"
     write_c3d(path, motion)
     ours = parse_c3d(path)
     assert (ours.names, ours.rate_hz, ours.unit_m, ours.up) == (tuple(MARKER_NAMES.values()), 30.0, 0.001, "y")
-    np.testing.assert_allclose(ours.positions.transpose(2, 0, 1) / 1000, motion.places, atol=1e-6)
+    np.testing.assert_allclose(ours.positions.transpose(2, 0, 1) / 1000, motion.positions, atol=1e-6)
     other = ezc3d.c3d(str(path))
     np.testing.assert_array_equal(other["data"]["points"][:3].transpose(1, 0, 2), ours.positions)
     about = other["parameters"]["POINT"]
@@ -149,19 +149,19 @@ def test_a_c3d_is_read_by_other_libraries_with_equal_numbers(tmp_path: Path) -> 
     assert [about[key]["value"][0] for key in ("UNITS", "X_SCREEN", "Y_SCREEN", "RATE")] == ["mm", "+X", "+Y", 30.0]
     with path.open("rb") as file, pytest.warns(UserWarning, match="No analog data"):
         frames = np.array([points for _, points, _ in c3d.Reader(file).read_frames()])
-    seen = np.isfinite(motion.places).all(axis=2)
+    seen = np.isfinite(motion.positions).all(axis=2)
     np.testing.assert_array_equal(frames[seen, :3], ours.positions.transpose(2, 0, 1)[seen])
     assert (frames[~seen, 3] == -1).all()
 
 
 def test_a_c3d_of_more_frames_than_16_bits_count_is_whole(tmp_path: Path) -> None:
     ezc3d = pytest.importorskip("ezc3d")
-    places = np.random.default_rng(0).normal(size=(70_001, 3, 3)).astype(np.float32)
+    positions = np.random.default_rng(0).normal(size=(70_001, 3, 3)).astype(np.float32)
     path = tmp_path / "long.c3d"
-    write_c3d(path, JointMotion("long", ("root", "lhip", "rhip"), places, 120.0))
+    write_c3d(path, JointMotion("long", ("root", "lhip", "rhip"), positions, 120.0))
     ours = parse_c3d(path)
     assert (ours.positions.shape, ours.warnings) == ((3, 3, 70_001), [])
-    np.testing.assert_allclose(ours.positions.transpose(2, 0, 1) / 1000, places, atol=1e-6)
+    np.testing.assert_allclose(ours.positions.transpose(2, 0, 1) / 1000, positions, atol=1e-6)
     np.testing.assert_array_equal(ezc3d.c3d(str(path))["data"]["points"][:3].transpose(1, 0, 2), ours.positions)
 
 
@@ -193,8 +193,8 @@ def test_a_glb_keeps_the_rules_of_the_specification(tmp_path: Path) -> None:
         times = content["accessors"][sampler["input"]]
         assert times["min"] == [0.0]
         assert times["count"] == content["accessors"][sampler["output"]]["count"] == 60
-    turns = values[content["animations"][0]["samplers"][-1]["output"]]
-    np.testing.assert_allclose(np.linalg.norm(turns, axis=1), 1.0, atol=1e-6)
+    rotations = values[content["animations"][0]["samplers"][-1]["output"]]
+    np.testing.assert_allclose(np.linalg.norm(rotations, axis=1), 1.0, atol=1e-6)
     primitives = content["meshes"][0]["primitives"]
     corners = content["accessors"][primitives[0]["attributes"]["POSITION"]]["count"]
     assert sum(content["accessors"][one["indices"]]["count"] for one in primitives) == 3 * (24 * 8 + 23 * 24)

@@ -52,15 +52,15 @@ def openpose(points: np.ndarray, **more: Any) -> dict[str, Any]:
 @pytest.mark.parametrize("names", [sets[0].order for sets in keypoint_sets_by_count().values()], ids=len)
 def test_a_file_of_frames_comes_in_by_the_number_of_its_points(tmp_path: Path, names: tuple[str, ...]) -> None:
     walk = keypoints_of(names, 6)
-    path = save(tmp_path / "a.json", {"frames": [{"keypoints_3d": places.tolist()} for places in walk]})
+    path = save(tmp_path / "a.json", {"frames": [{"keypoints_3d": positions.tolist()} for positions in walk]})
     check(path, walk, names)
 
 
 def test_a_sequence_of_files_is_one_take_and_the_first_file_stands_for_it(tmp_path: Path) -> None:
     walk = keypoints_of(BODY_25, 12)
-    for number, places in enumerate(walk):
+    for number, positions in enumerate(walk):
         if number != 5:
-            save(tmp_path / f"walk_{number:012d}_keypoints.json", openpose(places))
+            save(tmp_path / f"walk_{number:012d}_keypoints.json", openpose(positions))
     save(tmp_path / "walk_000000000005_keypoints.json", {"version": 1.3, "people": []})
     save(tmp_path / "other.json", {"takes": []})
     motions = [path.name for path in sorted(tmp_path.iterdir()) if is_motion_file(path)]
@@ -72,13 +72,17 @@ def test_names_times_and_rate_of_a_file_count(tmp_path: Path) -> None:
     walk = keypoints_of(COCO_17, 6)
     turned = [8, *range(8), *range(9, 17)]
     names = [COCO_17[i] for i in turned]
-    listed = {"fps": 50, "keypoint_names": names, "frames": [{"keypoints": places[turned].tolist()} for places in walk]}
+    listed = {
+        "fps": 50,
+        "keypoint_names": names,
+        "frames": [{"keypoints": positions[turned].tolist()} for positions in walk],
+    }
     path = save(tmp_path / "a.json", listed)
     check(path, walk, COCO_17, ReadSettings())
     assert read_body(path, None, AUTO, ORDER).rate_hz == 50.0
     timed = [
-        {"timestamp_ms": 40 * t, "joints_3d": dict(zip(COCO_17, places.tolist(), strict=True))}
-        for t, places in enumerate(walk)
+        {"timestamp_ms": 40 * t, "joints_3d": dict(zip(COCO_17, positions.tolist(), strict=True))}
+        for t, positions in enumerate(walk)
     ]
     path = save(tmp_path / "b.json", timed)
     check(path, walk, COCO_17, ReadSettings())
@@ -90,8 +94,8 @@ def test_world_landmarks_of_mediapipe_stand_up(tmp_path: Path) -> None:
     about = walk - walk[:, 23:25].mean(axis=1, keepdims=True)
     shown = about * np.array([1, -1, -1])
     frames = [
-        {"pose_world_landmarks": [dict(zip("xyz", place, strict=True)) | {"visibility": 0.9} for place in places]}
-        for places in shown.tolist()
+        {"pose_world_landmarks": [dict(zip("xyz", place, strict=True)) | {"visibility": 0.9} for place in positions]}
+        for positions in shown.tolist()
     ]
     path = save(tmp_path / "a.json", {"fps": 30.0, "frames": frames})
     check(path, about, MEDIAPIPE_33)
@@ -101,13 +105,13 @@ def test_world_landmarks_of_mediapipe_stand_up(tmp_path: Path) -> None:
 def test_mmpose_names_its_points_and_persons_are_followed_by_their_ids(tmp_path: Path) -> None:
     walk = keypoints_of(HALPE_26, 6)
     instances = [
-        {"frame_id": t, "instances": [{"track_id": 7, "keypoints": places.tolist(), "keypoint_scores": [1.0] * 26}]}
-        for t, places in enumerate(walk)
+        {"frame_id": t, "instances": [{"track_id": 7, "keypoints": positions.tolist(), "keypoint_scores": [1.0] * 26}]}
+        for t, positions in enumerate(walk)
     ]
     meta = {"keypoint_id2name": {str(i): name for i, name in enumerate(HALPE_26)}}
     check(save(tmp_path / "a.json", {"meta_info": meta, "instance_info": instances}), walk, HALPE_26)
-    for frame, places in zip(instances, walk, strict=True):
-        other = {"track_id": 9, "keypoints": (places + np.array([0, 0, 3])).tolist()}
+    for frame, positions in zip(instances, walk, strict=True):
+        other = {"track_id": 9, "keypoints": (positions + np.array([0, 0, 3])).tolist()}
         frame["instances"] = [other, *frame["instances"]]  # type: ignore[misc]
     path = save(tmp_path / "b.json", {"instance_info": instances})
     reader = reader_of(path)

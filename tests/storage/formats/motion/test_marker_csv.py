@@ -55,8 +55,8 @@ def test_markers_of_motive_are_points_where_there_are_no_bones(tmp_path: Path) -
     gap = 1000 * WALK.copy()
     gap[2:4, 3] = np.nan
     names = (*JOINTS, "Unlabeled 1189")
-    places = np.concatenate([gap, gap[:, :1]], axis=1)
-    body = read(write(tmp_path / "a.csv", motive_csv(places, names, kind="Marker")))
+    positions = np.concatenate([gap, gap[:, :1]], axis=1)
+    body = read(write(tmp_path / "a.csv", motive_csv(positions, names, kind="Marker")))
     np.testing.assert_allclose(body.positions, EXPECTED, atol=1e-4)
     assert any("type Marker" in warning for warning in body.warnings)
 
@@ -104,8 +104,8 @@ def test_workstation_files_have_no_unit_and_no_sub_frames(tmp_path: Path) -> Non
 
 def test_things_beside_a_person_are_not_used_and_are_named(tmp_path: Path) -> None:
     names = (*SKELETON, "box:a", "box:b", "*11")
-    places = 1000 * np.concatenate([WALK, WALK[:, :3]], axis=1)
-    path = write(tmp_path / "a.csv", nexus_csv(places, names))
+    positions = 1000 * np.concatenate([WALK, WALK[:, :3]], axis=1)
+    path = write(tmp_path / "a.csv", nexus_csv(positions, names))
     body = read(path)
     assert any("points of box are not used" in warning for warning in body.warnings)
     np.testing.assert_allclose(body.positions, EXPECTED, atol=1e-4)

@@ -29,8 +29,8 @@ def joint(body: Body, name: str) -> np.ndarray:
     return body.positions[JOINTS.index(name)]
 
 
-def y_up(places: np.ndarray) -> np.ndarray:
-    return places[..., [1, 2, 0]]
+def y_up(positions: np.ndarray) -> np.ndarray:
+    return positions[..., [1, 2, 0]]
 
 
 def test_joints_lie_where_the_segments_begin_and_end(tmp_path: Path) -> None:

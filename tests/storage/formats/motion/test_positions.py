@@ -115,8 +115,8 @@ def test_smpl_joints_come_in_by_name_and_by_order(tmp_path: Path) -> None:
 def test_the_root_turns_as_hips_and_spine_do(tmp_path: Path) -> None:
     degrees = np.arange(20) * 5.0
     matrices = np.stack([kinematics.rotation(1, float(angle)) for angle in degrees])
-    places = np.einsum("tab,jbt->tja", matrices, standing(20))
-    body = read(write(tmp_path / "a.csv", csv_text(places, JOINTS)))
+    positions = np.einsum("tab,jbt->tja", matrices, standing(20))
+    body = read(write(tmp_path / "a.csv", csv_text(positions, JOINTS)))
     assert (body.skeleton, body.unknown, body.warnings) == ("named-positions", (), ())
     np.testing.assert_allclose(body.orientation, turned(degrees), atol=1e-6)
     words = features.words(body.positions, body.orientation, 30.0, FEATURES.rules)
@@ -124,9 +124,9 @@ def test_the_root_turns_as_hips_and_spine_do(tmp_path: Path) -> None:
 
 
 def test_joints_that_a_file_never_shows_are_unknown(tmp_path: Path) -> None:
-    places = np.moveaxis(standing(4), 2, 0).copy()
-    places[:, [index("ltoes"), index("belly")]] = np.nan
-    body = read(write(tmp_path / "a.csv", csv_text(places, JOINTS)))
+    positions = np.moveaxis(standing(4), 2, 0).copy()
+    positions[:, [index("ltoes"), index("belly")]] = np.nan
+    body = read(write(tmp_path / "a.csv", csv_text(positions, JOINTS)))
     assert body.unknown == ("ltoes", "belly")
     assert np.isfinite(body.orientation).all()
 
@@ -332,7 +332,7 @@ def test_a_header_that_does_not_fit_its_file_is_refused_before_memory_is_asked_f
 def test_an_array_that_unpacks_to_more_than_fits_is_refused_by_its_header(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(stored, "MOST_BYTES", 1_000_000)
+    monkeypatch.setattr(stored, "MAX_BYTES", 1_000_000)
     np.savez_compressed(tmp_path / "a.npz", positions=np.zeros((50_000, 17, 3), np.int8))
     with pytest.raises(SourceError, match=r"'positions' takes 0\.0 GB in memory; write shorter takes"):
         parse_positions(tmp_path / "a.npz")

@@ -1,0 +1,52 @@
+"""This module cancels long computations, which check from time to time whether their result is still needed."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from contextvars import ContextVar
+
+from kinedex.ops.errors import KinedexError
+
+
+class CancelledWorkError(KinedexError):
+    """The computation was cancelled, since its result is no longer needed."""
+
+
+def _never() -> bool:
+    return False
+
+
+_is_cancelled: ContextVar[Callable[[], bool]] = ContextVar("is_withdrawn", default=_never)
+
+
+@contextmanager
+def cancelled_when(test: Callable[[], bool]) -> Iterator[None]:
+    """Cancel the work of this context once a test returns True.
+
+    Parameters
+    ----------
+    test : callable
+        A function that is called often, from the threads of the work; threads inherit the context of their starter.
+
+    Examples
+    --------
+    >>> from kinedex.ops.cancellation import CancelledWorkError, check_cancelled, cancelled_when
+    >>> with cancelled_when(lambda: True):
+    ...     try:
+    ...         check_cancelled()
+    ...     except CancelledWorkError as fault:
+    ...         print(fault)
+    the work was withdrawn: nobody waits for its result
+    """
+    token = _is_cancelled.set(test)
+    try:
+        yield
+    finally:
+        _is_cancelled.reset(token)
+
+
+def check_cancelled() -> None:
+    """Raise a WithdrawnError if the work of this context was cancelled."""
+    if _is_cancelled.get()():
+        raise CancelledWorkError("the work was withdrawn: nobody waits for its result")

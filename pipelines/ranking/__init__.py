@@ -1,1 +1,0 @@
-"""Rank the places of whole archives by their distance to templates, and evaluate rankings."""

@@ -1,1 +1,0 @@
-"""Search keyframe queries in stores and in words in memory."""

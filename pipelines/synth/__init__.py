@@ -1,1 +1,0 @@
-"""Write the synthetic archive as motion files."""
