@@ -4,28 +4,14 @@ from __future__ import annotations
 
 import threading
 import time
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager, suppress
+from collections.abc import Callable
+from contextlib import suppress
 from typing import Generic, TypeVar
 
 import duckdb
 
 from kinedex.ops.cancellation import CancelledWorkError, check_cancelled
 from kinedex.ops.errors import KinedexError, ParameterError
-
-_DUCKDBS_MESSAGE = "Query interrupted"
-
-
-@contextmanager
-def ctrl_c_in_statements() -> Iterator[None]:
-    """Raise KeyboardInterrupt in place of the RuntimeError by which DuckDB reports Ctrl-C in the main thread."""
-    try:
-        yield
-    except RuntimeError as fault:
-        if str(fault) != _DUCKDBS_MESSAGE:
-            raise
-        raise KeyboardInterrupt from None
-
 
 T = TypeVar("T")
 

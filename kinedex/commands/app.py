@@ -93,10 +93,11 @@ class Command(TyperCommand):
 @contextmanager
 def _usage_errors(args: list[str]) -> Iterator[None]:
     """Print usage errors as JSON if the arguments contain `--json`."""
+    as_json = "--json" in args  # the parser takes the arguments out of the list
     try:
         yield
     except Exception as fault:
-        if "--json" not in args or not hasattr(fault, "format_message"):
+        if not as_json or not hasattr(fault, "format_message"):
             raise
         code = int(getattr(fault, "exit_code", 2))
         print_error(str(fault.format_message()), "UsageError", code, as_json=True)
@@ -294,7 +295,7 @@ def _guarded(function: Callable[..., None]) -> Callable[..., None]:
         from kinedex.console.logs import configure_logging
         from kinedex.console.terminal import configure_messages
         from kinedex.ops.local_paths import refuse_addresses
-        from kinedex.storage.interruption import ctrl_c_in_statements
+        from kinedex.storage.ctrl_c import ctrl_c_in_statements
 
         quiet, verbose, log_file = (arguments.pop(name) for name in COMMON_OPTIONS)
         as_json = bool(arguments.get("as_json"))

@@ -418,7 +418,7 @@ def add_rotated(proposals: Proposals, lookup: Lookup, extrema: F64, centre: F64,
     turn = TURNS_DEG[number % len(TURNS_DEG)]
     other = lookup.propose(extrema, centre, facing, None, turn_deg=turn)
     new = np.flatnonzero(~np.isin(other.rows, proposals.rows))[:1]
-    picked = {name: getattr(other, name)[new] for name in ("poses", "rows", "costs", "ends", "origins", "turns")}
+    picked = {name: getattr(other, name)[new] for name in ("poses", "rows", "costs", "ends", "origins", "rotations")}
     return _joined([proposals, other._replace(**picked)])
 
 

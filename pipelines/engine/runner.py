@@ -24,7 +24,7 @@ from kinedex.pipelines.engine.plan import FORCED, Planner, Step, make_plan
 from kinedex.pipelines.engine.run_id import new_run_id
 from kinedex.pipelines.engine.run_recorder import RunRecorder
 from kinedex.pipelines.labels.unmatched_labels import UnmatchedLabels, recorded_unmatched, unmatched_summary
-from kinedex.storage.interruption import ctrl_c_in_statements
+from kinedex.storage.ctrl_c import ctrl_c_in_statements
 from kinedex.storage.lock import Wait
 from kinedex.storage.snapshot.manifest import PipelineRecord, StageRecord, kinedex_version, now, running_command
 from kinedex.storage.snapshot.manifest_files import versions

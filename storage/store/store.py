@@ -263,7 +263,7 @@ class Store(Snapshot):
 
         connection = connect(self, threads, memory_mb)
         # the connection reads the parts as long as it exists, even if this object does not
-        weakref.finalize(connection, self._take_lease().release).atexit = False
+        weakref.finalize(connection, _release, self._take_lease()).atexit = False
         return connection
 
     @overload
@@ -407,6 +407,11 @@ def all_labels(path: Path, manifest: Manifest, checked: CheckedFiles) -> pa.Tabl
         require_sound(journals, path)
         return pa.concat_tables([rows, journal_rows(journals, rows.column("id").to_pylist())])
     raise StoreError(f"{path}: its versions are removed as fast as they are read; stop what removes them")
+
+
+def _release(lease: Lease) -> None:
+    """Release a lease, which lives until then as the argument of a finalizer."""
+    lease.release()
 
 
 def data_frame(table: pa.Table) -> pl.DataFrame:

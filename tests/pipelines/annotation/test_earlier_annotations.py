@@ -260,11 +260,11 @@ def test_new_examples_alone_are_compared_with_takes_and_all_is_as_if_annotated_a
 ):
     compared: list[int] = []
 
-    def lay_groups(templates: list[object], *other: object) -> object:
+    def counted_groups(templates: list[object], *other: object) -> object:
         compared.append(len(templates))
         return grouping.template_groups(templates, *other)  # type: ignore[arg-type]
 
-    monkeypatch.setattr(single_examples, "lay_groups", lay_groups)
+    monkeypatch.setattr(single_examples, "template_groups", counted_groups)
     learned = {"methods": ["soft"], "examples": ["labels"]}
     asked = {"method": "best", "where": "true", "each_example": True, "store_curves": False}
     first = [{"take": "cat_1", "class": "walk", "start": 0, "stop": 20}]

@@ -25,7 +25,10 @@ def test_what_is_declared_can_be_called(place: str) -> None:
     assert callable(drawn_by(place))
 
 
-@pytest.mark.parametrize(("stage", "page"), [("learn_keyframes", "keyframes_page"), ("compare_methods", "study_page")])
-def test_a_stage_that_draws_depends_on_what_draws(stage: str, page: str) -> None:
+@pytest.mark.parametrize(
+    ("stage", "module_of_page", "page"),
+    [("learn_keyframes", "keyframes_page", "keyframes_page"), ("compare_methods", "methods_page", "study_page")],
+)
+def test_a_stage_that_draws_depends_on_what_draws(stage: str, module_of_page: str, page: str) -> None:
     module, _, name = BUILT_IN[stage].partition(":")
-    assert (f"kinedex.reports.{page}", page) in Sources().reached([(module, name)])
+    assert (f"kinedex.reports.{module_of_page}", page) in Sources().reached([(module, name)])

@@ -16,9 +16,10 @@ import pytest
 
 from kinedex.ops.errors import ParameterError
 from kinedex.storage import interruption
+from kinedex.storage.ctrl_c import ctrl_c_in_statements
 from kinedex.storage.duckdb_sql import connect, rows
 from kinedex.storage.index.builder import build_index
-from kinedex.storage.interruption import TimeLimitError, abandoned_statements, ctrl_c_in_statements
+from kinedex.storage.interruption import TimeLimitError, abandoned_statements
 from kinedex.storage.sql import queries
 from kinedex.storage.store.store import Store, open_store
 from tests.storage.made_up import make_store
