@@ -82,7 +82,6 @@ def rank(
     as_json: JsonOption = False,
 ) -> None:
     """Rank the places of an archive by how well templates fit."""
-    from kinedex.catalog.queries.query_reader import read_queries
     from kinedex.pipelines.templates.store_ranking import RankingQuestion, rank_store
     from kinedex.pipelines.templates.stored_templates import clip_range, template_from_clip
 
@@ -90,7 +89,11 @@ def rank(
     _check_source(names, every, take, start, stop)
     output.check()
     opened = open_for_reading(store, at)
-    asked = None if queries is None else read_queries(queries, opened.feature_set, opened.rate_hz)
+    asked = None
+    if queries is not None:
+        from kinedex.catalog.queries.query_reader import read_queries
+
+        asked = read_queries(queries, opened.feature_set, opened.rate_hz)
     chosen = None if every else names if take is None else [template_from_clip(opened, take, start, stop)]
     begin = time.perf_counter()
     question = RankingQuestion(delta, tau, top, where, mirror, min(top, NEAREST), workers)
