@@ -165,12 +165,14 @@ class _Pass:
                 if len(best[place]) == self.top:
                     # hits of equal cost (the same key, or within the tolerance below a threshold) may still enter
                     bars[place] = min(bars[place], (round(float(best[place].costs[-1]) * KEYS) + 2) / KEYS)
-        places, frames = self.takes.select(["take_id", "name"]), sum(self.takes.column("frames").to_pylist())
+        takes, frames = self.takes.select(["take_id", "name"]), sum(self.takes.column("frames").to_pylist())
+        values = [column.to_pylist() for column in takes.columns]  # `Table.take` would load `pyarrow.compute`
         rankings = []
         for one, hits, own in zip(templates, best, seconds.tolist(), strict=True):
-            count = len(hits)
+            count, indices = len(hits), hits.takes.tolist()
+            chosen = [[own_values[index] for index in indices] for own_values in values]
             table = hits_table(
-                ranking_schema(), places.take(hits.takes), hits.starts, hits.stops, self.store.rate_hz,
+                ranking_schema(), pa.table(chosen, schema=takes.schema), hits.starts, hits.stops, self.store.rate_hz,
                 template=pa.repeat(one.name, count), rank=np.arange(1, count + 1), cost=hits.costs,
                 mirrored=pa.repeat(False, count),
             )  # fmt: skip
