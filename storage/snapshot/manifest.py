@@ -10,7 +10,6 @@ from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field
 from datetime import UTC, datetime
 from functools import cache, cached_property
-from importlib.metadata import PackageNotFoundError, version
 from itertools import chain
 from pathlib import Path
 from typing import Annotated, Any
@@ -211,6 +210,8 @@ def running_command() -> str:
 @cache
 def kinedex_version() -> str:
     """Return the version of the installed kinedex; "unknown" for a source tree that is not installed."""
+    from importlib.metadata import PackageNotFoundError, version  # imported here: it is slow, and readers need none
+
     try:
         return version("kinedex")
     except PackageNotFoundError:
