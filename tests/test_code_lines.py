@@ -1,4 +1,4 @@
-"""What was decided about the size of rooms and functions holds: folders, lines of code, and parameters."""
+"""The size of rooms and functions stays within what was decided: folders, lines of code, and parameters."""
 
 from __future__ import annotations
 
