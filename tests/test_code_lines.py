@@ -40,7 +40,7 @@ def test_pipelines_keep_to_what_was_decided() -> None:
 
 
 FLAT = ("kinedex/commands/", "kinedex/library/", "catalog/queries/query.py")
-"""Where signatures are flat: options of commands, and the public API, of which `kinedex.Query` is a part."""
+"""The modules whose signatures are flat: options of commands, and the public API with `kinedex.Query`."""
 
 
 def is_edge(path: Path, function: ast.FunctionDef | ast.AsyncFunctionDef) -> bool:
