@@ -45,7 +45,7 @@ PARTS: dict[str, tuple[str, tuple[tuple[Any, str], ...]]] = {
         (
             (ReconstructionResult, "table"),
             (recording_runs, "put_takes"),
-            (recording_runs, "put_beside"),
+            (recording_runs, "put_for_takes"),
             (StoreWriter, "commit"),
         ),
     ),
