@@ -88,7 +88,7 @@ class FilmedBody:
         The fitted body whose cones are covered by flesh; it has the person's standing height.
     flesh : Flesh
         The cones of its surface.
-    disturbance : Disturbance
+    disturbance : ExtraErrors
         Errors that its clothes add to those of the sensor.
     """
 

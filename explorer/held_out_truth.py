@@ -253,7 +253,7 @@ class Prepared:
         Its class.
     others : tuple of SubclassTemplate
         The other templates of the class.
-    held_out : HeldOut
+    held_out : HeldOutTakes
         The takes to judge by.
     batches : list of TakeWords
         Their words, in the order of their ids.

@@ -88,7 +88,7 @@ def learning_stages(store: Store, asked: LearnRequest) -> Row:
     ----------
     store : Store
         The store; the settings are those of its current annotation, if it has one.
-    asked : LearnQuestion
+    asked : LearnRequest
         Settings that a person has chosen.
     """
     stage = stage_of(store, None)

@@ -86,7 +86,7 @@ def annotation_page(
         Takes whose timelines are shown; None chooses by F (frames), or without ground truth as `choose_takes` does.
     max_takes : int
         Largest number of timelines where they are chosen.
-    motions : Motions or None
+    motions : EmbeddedMotions or None
         Motions of the player; None for a page without player.
     near : mapping of (take, class, start, stop) to int, or None
         Place of the nearest example of a segment in `motions.near`.

@@ -37,7 +37,7 @@ def with_hits(
     ----------
     store : Store
         The store of the takes and the clips.
-    motions : Motions
+    motions : EmbeddedMotions
         The motions of the page.
     hits : sequence of TakeSegment
         Segments that the page must be able to play.
@@ -50,7 +50,7 @@ def with_hits(
 
     Returns
     -------
-    motions : Motions
+    motions : EmbeddedMotions
         With the further motions.
     near : dict of (take, class, start, stop) to int
         The place of each nearest example in `motions.near`.
@@ -75,14 +75,14 @@ def with_study(
         The store of the takes and the clips.
     study : Study
         The comparison.
-    motions : Motions
+    motions : EmbeddedMotions
         The motions of the takes with a timeline, by their titles.
     progress : callable
         Makes a progress bar of a description and a number of takes.
 
     Returns
     -------
-    motions : Motions
+    motions : EmbeddedMotions
         With the motions of the examples.
     near : dict of (title, class, start, stop) to int
         The place of each nearest example in `motions.near`.

@@ -74,7 +74,7 @@ def methods_page(study: Study, motions: EmbeddedMotions | None = None, near: Map
     ----------
     study : Study
         The comparison.
-    motions : Motions or None
+    motions : EmbeddedMotions or None
         Motions of the player by the titles of takes; None for a page without player.
     near : mapping of (title, class, start, stop) to int, or None
         Place of the nearest example of a segment in `motions.near`.

@@ -24,7 +24,7 @@ class Bar:
 
     Attributes
     ----------
-    bucket : Bucket
+    bucket : ConfidenceBin
         Its numbers.
     x, y, width, height : float
         The place of the bar.

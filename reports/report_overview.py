@@ -240,7 +240,7 @@ def segment_list(
         The content of the page.
     slots : mapping of str to int
         Colour of each class.
-    motions : Motions or None
+    motions : EmbeddedMotions or None
         The motions that can be played.
     near : mapping of (take, class, start, stop) to int
         Nearest examples.

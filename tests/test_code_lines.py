@@ -19,7 +19,7 @@ def test_lines_of_code_are_counted_without_texts_and_comments() -> None:
     Two lines.
     """
 X = 1  # a comment
-"""What X is."""
+"""X is a number."""
 
 def f(
     a: int,

@@ -251,7 +251,7 @@ def exclusive_shares(
 
     Parameters
     ----------
-    found : sequence of Explained
+    found : sequence of ExplainedSegment
         S segments that `explain` returned for these words.
     templates : sequence of Template
         T templates.

@@ -126,7 +126,7 @@ def geodesic_extrema(
         The node that the search begins at.
     count : int
         The number of extrema.
-    buffers : ExtremaRoom, optional
+    buffers : ExtremaBuffers, optional
         Arrays to reuse from earlier frames; None allocates them.
 
     Returns
@@ -163,7 +163,7 @@ def tips_first(cloud: FrameCloud, graph: PointGraph, extrema: Extrema, buffers: 
         Their graph.
     extrema : Extrema
         Its extrema.
-    buffers : ExtremaRoom
+    buffers : ExtremaBuffers
         The arrays of the search that found them, not used since.
 
     Returns

@@ -124,7 +124,7 @@ def link_components(
         Their number.
     body : bool array (N,)
         Out: True for points of the body.
-    buffers : LinkRoom
+    buffers : LinkBuffers
         Out: the links in `pairs` and `spans`.
 
     Returns
@@ -320,7 +320,7 @@ class GraphBuffers(NamedTuple):
         The number of nodes of each component.
     body : bool array (N,)
         True for nodes of the body.
-    links : LinkRoom
+    links : LinkBuffers
         The arrays of links.
     """
 
@@ -386,7 +386,7 @@ def build_graph(cloud: FrameCloud, threshold: float = EDGE_M, buffers: GraphBuff
         The points.
     threshold : float
         Neighbouring points closer than this are joined, in metres.
-    buffers : GraphRoom, optional
+    buffers : GraphBuffers, optional
         Arrays to reuse from earlier frames; None allocates them.
 
     Returns

@@ -40,7 +40,7 @@ def nearest_pixels(numbers: I32, box: tuple[int, int, int, int], buffers: Neares
         The point of each pixel; −1 where there is none.
     box : (int, int, int, int)
         First column, first row, and the column and row after the last, of all points.
-    buffers : NearestRoom, optional
+    buffers : NearestBuffers, optional
         Arrays to reuse from earlier frames; None allocates them.
 
     Returns

@@ -50,7 +50,7 @@ class FrameCloud(NamedTuple):
         First column, first row, and the column and row after the last, of all points; zeros without any.
     foreground : int
         The number of foreground pixels before cleaning.
-    buffers : NearestRoom, optional
+    buffers : NearestBuffers, optional
         Arrays for `nearest_pixels` to reuse; None allocates them.
     """
 

@@ -283,7 +283,7 @@ def refine_offset(limbs: Sequence[FineSearch], offset_s: float, ppm: float = 0.0
 
     Parameters
     ----------
-    limbs : sequence of Fine
+    limbs : sequence of FineSearch
         The limbs of one take and one recording, calibrated with the first offset.
     offset_s : float
         The first offset.
@@ -336,7 +336,7 @@ def find_drift(limbs: Sequence[FineSearch], offset_s: float) -> tuple[float, flo
 
     Parameters
     ----------
-    limbs : sequence of Fine
+    limbs : sequence of FineSearch
         The limbs of one take and one recording, calibrated with the first offset.
     offset_s : float
         The first offset.

@@ -61,7 +61,7 @@ def whitened_offset(
 
     Parameters
     ----------
-    limbs : sequence of Fine
+    limbs : sequence of FineSearch
         The limbs of one take and one recording, calibrated with the first offset.
     offset_s : float
         The first offset, a few milliseconds off at most.

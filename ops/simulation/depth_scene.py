@@ -108,7 +108,7 @@ class DepthScene:
         The camera.
     flesh : Flesh
         The cones of the body.
-    disturbance : Disturbance
+    disturbance : ExtraErrors
         Errors in addition to those of the sensor.
     joints : float64 array (T, 24, 3)
         The take in metres, Y up; `on_floor` puts it on the floor at Y = 0.

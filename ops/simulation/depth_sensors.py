@@ -108,7 +108,7 @@ def measured(
         The pixels of the body.
     shadow : bool array (H, W)
         The pixels that the projector does not reach, which are holes with structured light.
-    disturbance : Disturbance
+    disturbance : ExtraErrors
         Further errors.
     generator : numpy.random.Generator
         Draws the errors.

@@ -180,7 +180,7 @@ def add_point(
     ----------
     chain : ChainArrays
         The body.
-    buffers : FrameRoom
+    buffers : FrameBuffers
         The arrays of the frame with its nodes; the lower half of H is added to.
     node : int
         The node that moves the point.
@@ -219,7 +219,7 @@ def add_prior_terms(problem: TrackProblem, t: int, rotations: F64, buffers: Fram
         The frame.
     rotations : float64 array (K, 3, 3)
         Rotation of each node from its parent.
-    buffers : FrameRoom
+    buffers : FrameBuffers
         The arrays of the frame with its nodes; the lower half of H is added to.
     gradient : float64 array (parameters,)
         g.
@@ -414,7 +414,7 @@ def frame_terms(
         c of the loss; infinite for squares.
     units : float64 array (V, P)
         Out: the squares of the factors of residuals, see `rays.point_terms`.
-    buffers : FrameRoom
+    buffers : FrameBuffers
         The preallocated arrays of the frame.
     gradient : float64 array (parameters,)
         Out: g.
@@ -493,7 +493,7 @@ def add_points(chain: ChainArrays, nodes: I64, buffers: FrameBuffers, gradient: 
         The body.
     nodes : int64 array (P,)
         The node that moves each point.
-    buffers : FrameRoom
+    buffers : FrameBuffers
         The arrays of the frame with its nodes, and the points with A, symmetric, and b of each; the lower half of H is
         added to.
     gradient : float64 array (parameters,)

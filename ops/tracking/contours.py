@@ -103,7 +103,7 @@ class Observed:
         The body.
     rate_hz : float
         Frames per second.
-    observations : Rays or Places or None
+    observations : Rays or JointPositions or None
         Rays of keypoints, or positions of joints, in T frames; None if there are only silhouettes.
     points : BodyPoints, optional
         The points of the body to which the rays belong.
@@ -475,7 +475,7 @@ def add_sums(chain: ChainArrays, sums: ContourSums, joints: F64, buffers: FrameB
         The sums of the correspondences.
     joints : float64 array (J, 3)
         The joints of the pose in metres.
-    buffers : FrameRoom
+    buffers : FrameBuffers
         The arrays of a frame, with the nodes of the pose; its H is added to.
     gradient : float64 array (P,)
         The vector g of the P parameters of the pose, which is added to.

@@ -84,7 +84,7 @@ def find_start(
     ----------
     body : ChainBody
         A body of the shipped chain's nodes.
-    observations : Rays or Places
+    observations : Rays or JointPositions
         The observations of T frames.
     points : BodyPoints or None
         The points that rays observe; None for places.

@@ -72,7 +72,7 @@ def make_evidence(
     ----------
     body : ChainBody
         The body.
-    observations : Rays or Places
+    observations : Rays or JointPositions
         Rays of the P points, or positions of the joints of the chain.
     points : BodyPoints or None
         The points that rays observe; None for places.

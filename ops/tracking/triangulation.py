@@ -196,7 +196,7 @@ def start_from_positions(body: ChainBody, observations: JointPositions) -> Poses
     ----------
     body : ChainBody
         A body of the shipped chain's joints.
-    observations : Places
+    observations : JointPositions
         Positions of its joints.
 
     Raises

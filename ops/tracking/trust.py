@@ -78,7 +78,7 @@ def trust(
     ----------
     body : ChainBody
         A body of the shipped chain's nodes.
-    observations : Rays or Places
+    observations : Rays or JointPositions
         The observations of T frames.
     points : BodyPoints or None
         The points that rays observe; None for places.
@@ -204,7 +204,7 @@ def exchanged_sides(
     ----------
     body : ChainBody
         A body of the shipped chain's joints.
-    observations : Rays or Places
+    observations : Rays or JointPositions
         The observations of T frames; places are returned unchanged.
     points : BodyPoints or None
         The points that rays observe; only joints of the legs are exchanged. None for places.

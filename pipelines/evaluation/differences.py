@@ -78,9 +78,9 @@ class Comparison:
         The changes of each class and take.
     common : int, optional
         The number of common takes; None if neither evaluation names its takes.
-    only_a, only_b : Unshared
+    only_a, only_b : UnsharedContent
         Takes and classes of one evaluation only, which are excluded.
-    other_truth : Unshared
+    other_truth : UnsharedContent
         Takes and classes whose manual labels differ.
     settings : tuple of (str, object, object)
         The parameters that differ: name, value in A, value in B; None if one has no such parameter.

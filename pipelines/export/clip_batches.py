@@ -54,7 +54,7 @@ def clip_motion(frames: pa.Table, clip: Clip, how: ClipOptions, features: Featur
         All frames of the take.
     clip : Clip
         The clip.
-    how : How
+    how : ClipOptions
         The requested processing.
     features : FeatureSet
         The features of the store.
@@ -133,7 +133,7 @@ def source_cut(
         The row of the take.
     clip : Clip
         The clip.
-    how : How
+    how : ClipOptions
         The requested processing.
     skeleton : Path or None
         The skeleton file of an AMC file.
@@ -306,7 +306,7 @@ def batches_of_jobs(
         The store.
     folder : Path
         The folder of the data set.
-    how : How
+    how : ClipOptions
         The format and processing of the clips.
     mappings : Mappings or None
         Skeleton mappings of the store, if channels of sources are exported.

@@ -72,7 +72,7 @@ def clips_of(store: Store, intervals: Sequence[SelectedInterval], how: ClipOptio
         The store of the takes.
     intervals : sequence of SelectedInterval
         The intervals, by take and start.
-    how : How
+    how : ClipOptions
         The margins, the context and the smallest length.
 
     Raises
@@ -187,7 +187,7 @@ def split_clips(store: Store, clips: Sequence[Clip], how: ClipOptions) -> list[C
         The store of the takes.
     clips : sequence of Clip
         The clips.
-    how : How
+    how : ClipOptions
         The column, the shares and the seed.
 
     Raises

@@ -59,9 +59,9 @@ def export_data_set(
     ----------
     store : Store
         The store to read.
-    what : What
+    what : IntervalSource
         The intervals to export.
-    how : How
+    how : ClipOptions
         The format and processing of the clips.
     folder : Path
         The folder: new, empty, or that of an earlier export.
@@ -142,7 +142,7 @@ def export_take(store: Store, take: str, how: ClipOptions, path: Path) -> list[P
         The store that has the take.
     take : str
         The take's name.
-    how : How
+    how : ClipOptions
         The format, and whether the motion is resampled or moved to the origin.
     path : Path
         The file to write; an existing one is replaced. Formats of several files write the others beside it.

@@ -39,9 +39,9 @@ class Facts:
     ----------
     store : Store
         The store.
-    what : What
+    what : IntervalSource
         The requested intervals.
-    how : How
+    how : ClipOptions
         The format and processing of the clips.
     excluded : dict of str to str
         File of a clip that could not be written → the reason.
@@ -192,7 +192,7 @@ def split_facts(rows: Sequence[Mapping[str, Any]], how: ClipOptions) -> dict[str
     ----------
     rows : sequence of dict
         The rows of `metadata.csv`.
-    how : How
+    how : ClipOptions
         The request, with the column.
     """
     whole = sum(row["seconds"] for row in rows)

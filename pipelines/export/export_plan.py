@@ -74,9 +74,9 @@ def plan_clips(store: Store, what: IntervalSource, how: ClipOptions, progress: P
     ----------
     store : Store
         The store to read.
-    what : What
+    what : IntervalSource
         The intervals to export.
-    how : How
+    how : ClipOptions
         The format and processing of the clips.
     progress : callable
         Shows the progress of the comparison of clips.
@@ -157,7 +157,7 @@ def jobs_of(store: Store, clips: Sequence[Clip], how: ClipOptions) -> tuple[Job,
         The store to read.
     clips : sequence of Clip
         The clips, with the names of their files.
-    how : How
+    how : ClipOptions
         The format and processing of the clips.
 
     Raises
@@ -256,7 +256,7 @@ def estimated_bytes(store: Store, how: ClipOptions, plan: Plan) -> Sizes:
     ----------
     store : Store
         The store to read.
-    how : How
+    how : ClipOptions
         The format of the clips.
     plan : Plan
         The clips.

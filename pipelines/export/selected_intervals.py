@@ -79,7 +79,7 @@ def selected_intervals(store: Store, what: IntervalSource) -> SelectedIntervals:
     ----------
     store : Store
         The store to read.
-    what : What
+    what : IntervalSource
         The request.
 
     Raises

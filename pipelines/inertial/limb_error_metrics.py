@@ -120,7 +120,7 @@ def metric_rows(counts: LimbCounts, printed: PublishedResults | None) -> Iterato
     ----------
     counts : LimbCounts
         The counts of all takes.
-    printed : PrintedFigures or None
+    printed : PublishedResults or None
         Published figures for comparison.
     """
     for (scope, annotator), several in sorted(counts.above.items()):

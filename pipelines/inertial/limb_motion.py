@@ -100,7 +100,7 @@ def take_limbs(segments: BodyLimbs, joints: Sequence[str], limbs: Iterable[str])
 
     Parameters
     ----------
-    segments : Segments
+    segments : BodyLimbs
         Joints, node orientations and markers of the source.
     joints : sequence of str
         The named joints, in the order of the body.

@@ -161,7 +161,7 @@ class ReadPasses:
         The skeleton mappings.
     writer : StoreWriter
         The writer of the store.
-    plan : Changes
+    plan : SourceChanges
         The changes of the source.
     """
 
@@ -312,7 +312,7 @@ def file_table(found: Scan, root: str, plan: SourceChanges, done: FilesRead, fai
         The files.
     root : str
         The source root.
-    plan : Changes
+    plan : SourceChanges
         The changes of the source, with its unchanged files.
     done : FilesRead
         The files that were read.

@@ -125,7 +125,7 @@ def learn_queries(
     ----------
     trainings : sequence of TrainingSet
         The training set of each class.
-    setting : Setting
+    setting : LearningSettings
         The parameters of learning.
     rounds : Rounds
         The numbers of runs and rounds.

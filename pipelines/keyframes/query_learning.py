@@ -166,7 +166,7 @@ class Outcome:
         The subclass.
     consensus : Consensus
         The consensus of the runs.
-    chosen : tuple of Chosen
+    chosen : tuple of ChosenQuery
         The queries that preselect for the subclass.
     precision, recall : float
         Those of all selected queries together, on the clips; unlike the fitness without joined clips, and

@@ -148,7 +148,7 @@ class AnnotationLabels:
 
     Attributes
     ----------
-    takes : list of TakeLabels
+    takes : list of LabelsOfTake
         One for each annotated take, including those without labels, in the order of their names.
     rejected : int
         The number of annotations excluded because a person has rejected them.

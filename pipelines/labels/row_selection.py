@@ -59,7 +59,7 @@ def selected_rows(table: pa.Table, selection: RowSelection, noun: str, *, keep_o
     ----------
     table : pyarrow.Table
         Annotations or labels.
-    selection : Selection
+    selection : RowSelection
         The criteria.
     noun : str
         The noun for a row, such as "annotation".

@@ -260,7 +260,7 @@ def reconstruct(
         The recordings and the tracker.
     database : str
         The stage that has the pose database, "<pipeline>/<stage>".
-    place : Place
+    place : RunContext
         The stage and run of the results.
 
     Raises

@@ -146,7 +146,7 @@ class ImuRequest:
         Limbs or groups of limbs that wear a sensor; empty for all known limbs.
     grade : str
         Name of a grade, or the path of a file.
-    wearing : Wearing
+    wearing : WearOptions
         Seed, rate, lever arm, magnetic field and sensor grade.
     form : str
         The format: parquet, npz or xsens-txt.
@@ -282,7 +282,7 @@ def write_data_set(
         The names of the takes, in their order.
     takes : iterable of TakeToSimulate
         The takes in the order of `names`; takes without limbs may be missing.
-    request : Request
+    request : ImuRequest
         The sensors.
     progress : callable
         Shows progress.
@@ -436,7 +436,7 @@ def simulate_imu(
         Names of takes.
     where : str or None
         SQL filter over the columns of takes, which selects further ones.
-    request : Request
+    request : ImuRequest
         The sensors.
     folder : Path
         A folder that does not exist, or is empty.
@@ -477,7 +477,7 @@ def simulate_stored(
         The stage that has stored the limbs, "<pipeline>/<stage>".
     names : sequence of str
         Names of the takes.
-    request : Request
+    request : ImuRequest
         The sensors.
     folder : Path
         An empty folder.

@@ -256,7 +256,7 @@ def worn_sensors(wearing: WearOptions, take: str, actor: str | None, limbs: Mapp
 
     Parameters
     ----------
-    wearing : Wearing
+    wearing : WearOptions
         Seed and grade.
     take : str
         Name of the take.
@@ -285,9 +285,9 @@ def sample_piece(piece: Piece, number: int, take: str, worn: TakeSensors, wearin
         Its number in the take, which determines its random numbers.
     take : str
         Name of the take.
-    worn : Worn
+    worn : TakeSensors
         Mounts and clock.
-    wearing : Wearing
+    wearing : WearOptions
         The rate, sensor grade and magnetic field.
     """
     limbs = {limb: _held(own, wearing.stand_s) for limb, own in piece.limbs.items()}

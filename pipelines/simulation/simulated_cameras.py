@@ -118,7 +118,7 @@ def simulate_cameras(store: Store, request: CameraRequest, folder: Path, progres
     ----------
     store : Store
         The store.
-    request : Request
+    request : CameraRequest
         The takes, and how they are recorded.
     folder : Path
         A folder that does not exist, or is empty.

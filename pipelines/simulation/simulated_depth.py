@@ -151,7 +151,7 @@ def simulate_depth(store: Store, request: DepthRequest, folder: Path, progress: 
     ----------
     store : Store
         The store.
-    request : Request
+    request : DepthRequest
         The takes, and how they are recorded.
     folder : Path
         A folder that does not exist, or is empty.

@@ -178,7 +178,7 @@ def nearest_examples(
         The store of the takes and the clips.
     hits : mapping of (take, class, start, stop) to str
         The subclass of each hit, which determines its template; hits without one are left out.
-    templates : sequence of Learned
+    templates : sequence of LearnedFrom
         Learned templates, with the names of their clips.
     progress : callable
         Returns a progress bar, given a description and a number of templates.

@@ -243,7 +243,7 @@ def run_tasks(
     ----------
     writer : StoreWriter
         The writer of the store.
-    place : Place
+    place : RunContext
         The stage and run of the results.
     kind : str
         The kind of results that has a row with `fingerprint` for each take.

@@ -359,7 +359,7 @@ def track_errors(row: dict[str, Any], poses: pa.Table, reference: TruePositions)
         The row of the track in the results `tracks`.
     poses : pyarrow.Table
         Its rows of `chain_poses`.
-    reference : Truth
+    reference : TruePositions
         The reference; only frames that both have are compared.
 
     Raises

@@ -121,7 +121,7 @@ def track(
         The recordings.
     observed : str
         The stage that has read them, "<pipeline>/<stage>".
-    place : Place
+    place : RunContext
         The stage and run of the results.
     """
     store = writer.store
@@ -185,7 +185,7 @@ def stabilise(
         The takes.
     archive : Archive
         The archive.
-    place : Place
+    place : RunContext
         The stage and run of the results.
 
     Raises

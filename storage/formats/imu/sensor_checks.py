@@ -61,7 +61,7 @@ def checked_sensor(path: Path, raw: RawSensor, given: UserStatements) -> ImuSens
         The file, for messages.
     raw : RawSensor
         The sensor as the file has it.
-    given : Given
+    given : UserStatements
         What the user states.
 
     Raises

@@ -332,7 +332,7 @@ def sensors_of(
         The file.
     layout : Layout
         Its columns.
-    given : Given
+    given : UserStatements
         What the user states.
     columns : mapping of int to float64 array (rows,)
         The numbers of each column.

@@ -141,7 +141,7 @@ def write_labels(
 
     Parameters
     ----------
-    takes : sequence of TakeLabels
+    takes : sequence of LabelsOfTake
         The labels.
     form : str or None
         A key of `FORMATS`, in upper or lower case; None for the format of the file's extension, CSV for a folder.

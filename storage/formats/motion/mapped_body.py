@@ -138,7 +138,7 @@ def posed(
 
     Parameters
     ----------
-    motion : Motion
+    motion : ParsedMotion
         The file.
     nodes : tuple of Node
         The nodes that its channels move, parents first.

@@ -151,9 +151,9 @@ class Scan:
         Skeleton files.
     unread : tuple of SourceFile
         Motion files of formats that kinedex does not read, see `UNREAD`.
-    refused : tuple of Refused
+    refused : tuple of UnreadableFile
         Possible motion files that cannot be read or lie outside the root.
-    passed_over : tuple of PassedOver
+    passed_over : tuple of SkippedFile
         All other files.
     sidecars : tuple of SourceFile
         YAML files with the name of a motion file in the same folder, which describe its takes.
