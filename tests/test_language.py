@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import ast
 import re
-from collections.abc import Iterator
+from collections.abc import Container, Iterator
 from pathlib import Path
 
 import pytest
@@ -75,6 +75,19 @@ def fragments(path: Path) -> list[str]:
     ]
 
 
+def other_types(path: Path, classes: Container[str]) -> Iterator[str]:
+    """Find the parameters that a docstring gives another class than the signature does."""
+    for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+        if not isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef):
+            continue
+        text = ast.get_docstring(node) or ""
+        for one in (*node.args.args, *node.args.kwonlyargs):
+            stated = re.search(rf"^{one.arg} : ([A-Z]\w+)(?:$|,| or)", text, re.MULTILINE)
+            kind = one.annotation.id if isinstance(one.annotation, ast.Name) else None
+            if stated and kind in classes and stated[1] != kind:
+                yield f"{_name(path)}:{node.lineno}: {one.arg} is of {kind}, not {stated[1]}"
+
+
 def _name(path: Path) -> str:
     return path.relative_to(ROOT).as_posix()
 
@@ -82,6 +95,12 @@ def _name(path: Path) -> str:
 @pytest.mark.parametrize("room", [*ROOMS, "tests"])
 def test_a_docstring_is_a_sentence(room: str) -> None:
     assert not [fault for path in files(room) for fault in fragments(path)]
+
+
+def test_docstrings_name_the_classes_of_signatures() -> None:
+    trees = [ast.parse(path.read_text(encoding="utf-8")) for path in files(*ROOMS)]
+    classes = {node.name for tree in trees for node in ast.walk(tree) if isinstance(node, ast.ClassDef)}
+    assert not [fault for path in files(*ROOMS) for fault in other_types(path, classes)]
 
 
 @pytest.mark.parametrize("room", ROOMS)
