@@ -157,7 +157,7 @@ def average_all(method: Method, stack: Stack, paths: Paths, pairs: I64, referenc
 
     Parameters
     ----------
-    method : Soft or Hard
+    method : Method
         The rule by which aligned columns are averaged.
     stack : Stack
         The templates of the round before.
