@@ -117,7 +117,7 @@ class WarmProcess:
 
     Parameters
     ----------
-    options : mapping, optional
+    **options : object
         Further arguments of `subprocess.Popen`.
     """
 

@@ -133,7 +133,7 @@ def run(
     ----------
     source : Path
         The archive.
-    path : Path
+    store : Path
         The store.
     method : str or None
         The method of annotation.

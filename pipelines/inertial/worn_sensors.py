@@ -46,7 +46,7 @@ class ReusedTakes:
     prints : mapping of int to (str or None)
         The ids of all takes in the order of results, each with a hash of everything that determines its rows; None if
         it is unknown.
-    kinds : str
+    *kinds : str
         The kinds of results of the stage, all with a column `take_id`, the first one with `fingerprint`.
     """
 
@@ -235,7 +235,7 @@ class WornTakes:
 
         Parameters
         ----------
-        more : object
+        *more : object
             Further values that the results of all takes depend on, besides limbs and sensors.
         of : callable, optional
             Returns further values that the results of one take depend on, given its take_id.

@@ -189,7 +189,7 @@ def judged_up(positions: Mapping[str, F64], rest: Mapping[str, F64] | None) -> U
 
     Parameters
     ----------
-    places, rest
+    positions, rest
         As for `kinedex.ops.body.up_axis.up_axis`.
     """
     with np.errstate(over="ignore", invalid="ignore"):  # Absurd numbers are refused later.
