@@ -190,17 +190,18 @@ def _raw(
     if isinstance(reader, PositionsReader):
         points = parse_positions(file)
         names = points.names or mappings.names_in_order(file, len(points.positions))[1]
-        return _raw_points(found, file, "positions", points, points.indices(names))
+        named = replace(points, names=names).seen()
+        return _raw_points(found, file, "positions", points, named.indices())
     if isinstance(reader, PointsReader):
         points = reader.points(MotionFile(file, person=person), given)
-        return _raw_points(found, file, "positions", points, points.indices())
+        return _raw_points(found, file, "positions", points, points.seen().indices())
     if reader.format == "amass":
         return _raw_poses(found, file, given)
     if reader.format == "c3d":
         markers = parse_c3d(file)
         axes = _UPRIGHT[markers.up or "z"]
         upright = replace(markers, positions=markers.positions[:, ["xyz".index(axis) for axis in axes]])
-        return _raw_points(found, file, "c3d", upright, markers.indices(), axes)
+        return _raw_points(found, file, "c3d", upright, markers.seen().indices(), axes)
     if isinstance(reader, FigureReader):
         return _raw_scene(found, reader.figure(MotionFile(file, person=person), given), file)
     bvh = parse_bvh(file)

@@ -241,7 +241,7 @@ class C3dReader(Reader):
             The file contradicts itself or its size, it holds several persons and none is chosen, or no body is
             recognised.
         """
-        markers = points_of_person(parse_c3d(file.path), file.person)
+        markers = points_of_person(parse_c3d(file.path), file.person).seen()
         evidence = evidence_of(markers, markers.up)
         fit = mappings.detect(file.path, "c3d", markers.indices(), evidence).upright(markers.up)
         warnings = [*markers.warnings, *recognition_warnings(fit)]

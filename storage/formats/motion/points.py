@@ -10,7 +10,7 @@ from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import ClassVar, NamedTuple, TypeVar
+from typing import ClassVar, NamedTuple, Self, TypeVar
 
 import numpy as np
 import numpy.typing as npt
@@ -73,10 +73,17 @@ class Points:
     unit_m: float | None = None
     warnings: list[str] = field(default_factory=list)
 
-    def indices(self, names: Sequence[str] = ()) -> dict[str, int]:
-        """Return a dict from name to index of the points present in any frame; `names` replaces missing names."""
-        seen = np.count_nonzero(np.isfinite(self.positions), axis=(1, 2)) > 0
-        return {name: i for i, name in enumerate(self.names or names) if seen[i]}
+    def indices(self) -> dict[str, int]:
+        """Return a dict from name to index."""
+        return {name: i for i, name in enumerate(self.names)}
+
+    def seen(self) -> Self:
+        """Return the points that are present in any frame; one that never is would only shift the others' indices."""
+        there = np.isfinite(self.positions).any(axis=(1, 2))
+        if there.all():
+            return self
+        names = tuple(name for name, present in zip(self.names, there, strict=True) if present)
+        return replace(self, names=names, positions=self.positions[there])
 
 
 def points_bytes(frames: int, points: int, joints: int) -> int:
@@ -344,7 +351,7 @@ class PointsReader(Reader):
         SourceError
             The file is damaged, or the body is not recognised.
         """
-        points = self.named(self.points(file, settings), mappings)
+        points = self.named(self.points(file, settings), mappings).seen()
         evidence = evidence_of(points, self.up)
         fit = mappings.detect(file.path, "positions", points.indices(), evidence)
         warnings = [*points.warnings, *recognition_warnings(fit)]
@@ -354,7 +361,7 @@ class PointsReader(Reader):
 
 
 def evidence_of(points: Points, up: str | None = None) -> Evidence:
-    """Return the evidence for recognising a body: positions in some frames of the points present in any frame.
+    """Return the evidence for recognising a body: the points in some frames.
 
     Parameters
     ----------
@@ -363,10 +370,9 @@ def evidence_of(points: Points, up: str | None = None) -> Evidence:
     up : str, optional
         The axis that the file states as vertical.
     """
-    seen = points.indices()
     frames = points.positions.shape[2]
     sample = np.unique(np.linspace(0, frames - 1, min(frames, SAMPLED_FRAMES)).astype(int))
-    return Evidence(tuple(seen), points.positions[list(seen.values())][:, :, sample], up=up, unit_m=points.unit_m)
+    return Evidence(points.names, points.positions[:, :, sample], up=up, unit_m=points.unit_m)
 
 
 def upright(fit: Fit, evidence: Evidence, warnings: list[str]) -> Fit:

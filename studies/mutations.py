@@ -1,0 +1,167 @@
+"""`python -m studies.mutations DATA [--hold FORMAT]`: change one thing in a motion file, and see whether a joint moves.
+
+DATA is a folder with `c3d`, `wild`, `cameras`, `cmu`, `bandai` and `hdm05`. Recordings that are read rightly are written
+anew with one mutation each (studies/point_mutations.py, studies/skeleton_mutations.py), read again, and compared with
+what was read before. One line for each format and mutation counts the outcomes:
+
+right
+    Every joint is within 2 cm of its place in the frames that have one.
+estimated
+    Joints that are farther away, 5 cm at most, are marked as estimated.
+warned
+    A joint is wrong, and the reading has a warning that the unchanged file does not cause.
+refused
+    The file is refused.
+silent
+    A joint is wrong without a word: the only failure. The exit code is 1 if there is any.
+not knowable
+    As silent, by a mutation that one file alone cannot show, such as all sides exchanged.
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+import tempfile
+from collections import Counter, defaultdict
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from rich.console import Console
+from rich.table import Table
+
+from kinedex.catalog.features import load_feature_set
+from kinedex.catalog.skeletons.mappings import load_mappings
+from kinedex.ops.arrays import F64
+from kinedex.ops.body import features
+from kinedex.ops.errors import KinedexError
+from kinedex.storage.formats.motion.reader import Body
+from kinedex.storage.formats.motion.reader_table import read_body
+from studies.point_mutations import FORMS, Recording, point_mutations, recordings
+
+FEATURES = load_feature_set()
+JOINTS = FEATURES.joints
+MAPPINGS = load_mappings("auto", JOINTS)
+RIGHT_M, ESTIMATED_M = 0.02, 0.05
+OUTCOMES = ("right", "estimated", "warned", "refused", "silent", "not knowable")
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """The outcome of reading a mutated file: one of `OUTCOMES`, and a sentence on the worst joint or the refusal."""
+
+    kind: str
+    detail: str
+
+
+def read(path: Path) -> Body:
+    """Read a file with the shipped mappings."""
+    return read_body(path, None, MAPPINGS, JOINTS)
+
+
+def placed(moved: F64, still: F64) -> F64:
+    """Return positions (J, 3, T) turned about the vertical axis and shifted, so that they fit others best."""
+    both = np.isfinite(moved) & np.isfinite(still)
+    use = both.all(axis=1)
+    if not use.any():
+        return moved
+    a, b = moved.transpose(0, 2, 1)[use], still.transpose(0, 2, 1)[use]
+    middle_a, middle_b = a.mean(axis=0), b.mean(axis=0)
+    a, b = a - middle_a, b - middle_b
+    angle = np.arctan2((a[:, 2] * b[:, 0] - a[:, 0] * b[:, 2]).sum(), (a[:, 0] * b[:, 0] + a[:, 2] * b[:, 2]).sum())
+    cos, sin = np.cos(angle), np.sin(angle)
+    turn = np.array([[cos, 0.0, sin], [0.0, 1.0, 0.0], [-sin, 0.0, cos]])
+    return np.asarray(np.einsum("ab,jbt->jat", turn, moved - middle_a[None, :, None]) + middle_b[None, :, None])
+
+
+def judged(path: Path, control: Body, knowable: bool) -> Outcome:
+    """Read a mutated file and compare it with the control, which was read from the unchanged recording."""
+    try:
+        body = read(path)
+    except KinedexError as fault:
+        return Outcome("refused", str(fault).removeprefix(f"{path}: "))
+    faults = faults_of(body, control)
+    if not faults:
+        return Outcome("right", "")
+    worst = max(faults.values())
+    detail = ", ".join(f"{what} {size:.3g}" for what, size in sorted(faults.items(), key=lambda one: -one[1])[:4])
+    if set(faults) <= set(body.estimated) and worst <= ESTIMATED_M:
+        return Outcome("estimated", detail)
+    new = [warning for warning in body.warnings if warning not in control.warnings]
+    if new:
+        return Outcome("warned", f"{detail}: {new[0]}")
+    return Outcome("silent" if knowable else "not knowable", detail)
+
+
+def faults_of(body: Body, control: Body) -> dict[str, float]:
+    """Return the joints that are wrong, with the distance in metres, and `rate` or `words` with their shares."""
+    found = {}
+    if abs(body.rate_hz - control.rate_hz) > 0.01 * control.rate_hz:
+        found["rate"] = body.rate_hz / control.rate_hz
+    if body.frames != control.frames:
+        return found | {"frames": body.frames / control.frames}
+    valid = np.ones(body.frames, bool) if body.valid is None else body.valid
+    positions = placed(np.where(valid, body.positions, np.nan), control.positions)
+    for j, joint in enumerate(JOINTS):
+        off = np.linalg.norm(positions[j] - control.positions[j], axis=0)
+        off = off[np.isfinite(off)]
+        if len(off) and (far := float(np.percentile(off, 95))) > RIGHT_M:
+            found[joint] = far
+    return found
+
+
+def words_differing(body: Body, control: Body) -> float:
+    """Return the share of frames whose words differ."""
+    a, b = (features.words(one.positions, one.orientation, one.rate_hz, FEATURES.rules) for one in (body, control))
+    return float(np.mean(a != b)) if len(a) == len(b) else 1.0
+
+
+def trials(found: list[Recording], forms: list[str], seed: int) -> Iterator[tuple[str, str, str, Outcome]]:
+    """Yield format, mutation, recording and outcome of every mutation of every recording in every format."""
+    with tempfile.TemporaryDirectory() as folder:
+        for recording in found:
+            for form in forms:
+                path = Path(folder) / f"take{FORMS[form].ending}"
+                FORMS[form].write(path, recording)
+                try:
+                    control = read(path)
+                except KinedexError as fault:
+                    yield form, "unchanged", recording.name, Outcome("refused", str(fault))
+                    continue
+                random = np.random.default_rng([seed, sum(recording.name.encode()), sum(form.encode())])
+                for mutation in point_mutations(recording, form, random):
+                    FORMS[form].write(path, mutation.recording)
+                    outcome = judged(path, control, mutation.knowable)
+                    yield form, mutation.name, f"{recording.name}: {mutation.what}", outcome
+
+
+def main() -> int:
+    """Print the table; return 1 where a joint moved silently."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("data", type=Path)
+    parser.add_argument("--hold", action="append", choices=list(FORMS), help="only files of this format")
+    parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--show", nargs="*", default=["silent"], choices=OUTCOMES, help="outcomes to list one by one")
+    given = parser.parse_args()
+    counts: dict[tuple[str, str], Counter[str]] = defaultdict(Counter)
+    shown = []
+    for form, mutation, what, outcome in trials(recordings(given.data), given.hold or list(FORMS), given.seed):
+        counts[form, mutation][outcome.kind] += 1
+        if outcome.kind in given.show:
+            shown.append(f"{outcome.kind}: {form}, {mutation}, {what}: {outcome.detail}")
+    table = Table("format", "mutation", *OUTCOMES)
+    for (form, mutation), found in sorted(counts.items()):
+        table.add_row(form, mutation, *(str(found[kind] or "") for kind in OUTCOMES))
+    total = sum(counts.values(), Counter[str]())
+    table.add_row("", "all", *(str(total[kind]) for kind in OUTCOMES))
+    console = Console(width=200)
+    for line in shown:
+        console.print(line, highlight=False)
+    console.print(table)
+    return 1 if total["silent"] else 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
