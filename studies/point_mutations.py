@@ -264,8 +264,7 @@ def _scenes(made: Recording, form: str) -> Iterator[Mutation]:
     yield Mutation("axis up, stated", other, replace(made, positions=turned, up=other))
     yield Mutation("axis up, lying", other, replace(made, positions=turned))
     yield Mutation("handedness", "x mirrored", replace(made, positions=made.positions * [[-1.0], [1.0], [1.0]]))
-    flat = [1.0, -1.0] if made.up == "z" else [-1.0, 1.0]
-    back = np.array([-1.0, *flat])[:, None]
+    back = np.array([-1.0, -1.0, 1.0] if made.up == "z" else [-1.0, 1.0, -1.0])[:, None]
     yield Mutation("turned by 180 degrees", "", replace(made, positions=made.positions * back))
     for factor in (2.0, 4.0, 0.5):
         lying = replace(made, stated_hz=factor * made.rate_hz)

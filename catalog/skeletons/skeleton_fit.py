@@ -335,8 +335,12 @@ class Fit:
         The prefix that was ignored, if the names fit no mapping with it.
     estimated : Mapping[str, str]
         The joints that the file does not hold and that are estimated, each with a phrase that describes how.
+    rough : tuple of str
+        The joints of these whose estimate may be more than 5 cm off.
     reasons : tuple of str
         Sentences on how the body was recognised, for `kinedex inspect`; empty for a mapping that the names fit exactly.
+    doubts : tuple of str
+        Warnings about labels that seem to be wrong.
     confidence : float
         From 0 to 1; 1 for a mapping that the names fit exactly.
     """
@@ -348,7 +352,9 @@ class Fit:
     instead: dict[str, tuple[Mix, ...]] = field(default_factory=dict)
     prefix: str = ""
     estimated: Mapping[str, str] = field(default_factory=dict)
+    rough: tuple[str, ...] = ()
     reasons: tuple[str, ...] = ()
+    doubts: tuple[str, ...] = ()
     confidence: float = 1.0
 
     @property

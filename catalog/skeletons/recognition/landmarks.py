@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import lru_cache
 from itertools import product
 from pathlib import Path
@@ -20,13 +20,14 @@ from kinedex.ops.errors import did_you_mean
 
 _WORD = re.compile(r"[^\W_]+")
 _EXPLICIT = ("joint", "center", "centre", "jc")  # words that mark a label of a marker set as a joint
-_MAX_CHOICES = 12  # alternatives of a joint; more never help
+_MAX_CHOICES = 16  # alternatives of a joint; more never help
 _LOOKED_AT = 60  # most labels in which a prefix without a separator is searched
 _SKIN = 3  # least labels of skin landmarks in a file of markers
 _TRUNK = ("lasis", "rasis", "lpsis", "rpsis", "sacrum", "c7", "clav", "t10", "strn")
 """Landmarks of the trunk, some of which every set of skin markers has."""
 
 _MODEL = "OALP"  # last letters in Vicon's names of segment origins and axes, which are no markers
+_FEW_OF_MODEL = 3  # of these four, which make a segment although one of them is missing
 
 
 class _Part(BaseModel):
@@ -47,7 +48,7 @@ class _LandmarkFile(BaseModel):
     skin: _Part
     centres: _Part
     orders: dict[str, list[str]] = Field(default_factory=dict)
-    points: dict[str, list[dict[str, float]]]
+    points: dict[str, list[dict[str, Any]]]
     joints: dict[str, list[dict[str, Any]]]
 
 
@@ -74,12 +75,18 @@ class Choice:
         As in `Mix`, over landmarks.
     estimated : str
         A phrase if this is an estimate; empty for a regression.
+    rough : bool
+        True for an estimate that may be more than 5 cm off.
+    last : bool
+        True for an estimate that serves only where there is no other choice, not in frames where another is hidden.
     """
 
     weights: tuple[tuple[str, float], ...]
     plane: tuple[str, ...] = ()
     out: float = 0.0
     estimated: str = ""
+    rough: bool = False
+    last: bool = False
 
 
 @dataclass(frozen=True)
@@ -101,7 +108,7 @@ class Reading:
     labels: dict[str, tuple[str, ...]]
     skin: bool
     unread: tuple[str, ...]
-    made: dict[str, tuple[list[Mix], str]] = field(default_factory=dict, compare=False, repr=False)
+    made: dict[str, dict[Mix, Choice]] = field(default_factory=dict, compare=False, repr=False)
 
     @property
     def known(self) -> int:
@@ -158,7 +165,7 @@ class Landmarks:
         self._readings[tuple(labels)] = found
         return found
 
-    def all_mixes(self, reading: Reading, joints: Sequence[str]) -> dict[str, tuple[list[Mix], str]]:
+    def all_mixes(self, reading: Reading, joints: Sequence[str]) -> dict[str, dict[Mix, Choice]]:
         """Return the mixes of every joint, as `mixes` does, and cache them, since files of an archive share labels."""
         for joint in joints:
             if joint not in reading.made:
@@ -166,8 +173,8 @@ class Landmarks:
         return {joint: reading.made[joint] for joint in joints}
 
     def _read(self, labels: Sequence[str], prefix: str) -> Reading:
-        there = {label[:-1] for label in labels if label.endswith("O")} if len(labels) > 3 else set()
-        models = {stem for stem in there if all(f"{stem}{end}" in labels for end in _MODEL)}
+        stems = Counter(label[:-1] for label in labels if label[-1:] in _MODEL)
+        models = {stem for stem, count in stems.items() if count >= _FEW_OF_MODEL}
         keys = {
             label: self._key_of(label.removeprefix(prefix))
             for label in labels
@@ -208,8 +215,8 @@ class Landmarks:
             hits += [(label, landmark, rank) for landmark, rank in known]
         return hits
 
-    def mixes(self, joint: str, labels: Mapping[str, tuple[str, ...]]) -> tuple[list[Mix], str]:
-        """Return the mixes of labels that make a joint, best first, and how the first one is estimated, if it is.
+    def mixes(self, joint: str, labels: Mapping[str, tuple[str, ...]]) -> dict[Mix, Choice]:
+        """Return the mixes of labels that make a joint, best first, with the choice of which each is made.
 
         Parameters
         ----------
@@ -218,16 +225,22 @@ class Landmarks:
         labels : Mapping of str to tuple of str
             Landmark → its labels in the file.
         """
-        mixes: list[Mix] = []
-        how = ""
+        mixes: dict[Mix, Choice] = {}
         for choice in self.joints.get(joint, ()):
-            if choice.estimated and mixes:
-                continue
-            found = self._expanded(choice, labels)
-            if found and not mixes:
-                how = choice.estimated
-            mixes += [mix for mix in found if mix not in mixes]
-        return mixes[:_MAX_CHOICES], how
+            found = () if choice.last and mixes else self._expanded(choice, labels)
+            marked = self._marked(choice, labels) if found else choice
+            for mix in found:
+                mixes.setdefault(mix, marked)
+        return dict(list(mixes.items())[:_MAX_CHOICES])
+
+    def _marked(self, choice: Choice, labels: Mapping[str, tuple[str, ...]]) -> Choice:
+        """Return a choice with the phrase of the first of its points that is estimated, unless it has one itself."""
+        for name in [name for name, _ in choice.weights if name not in labels]:
+            way = next(way for way in self.points[name] if all(self._ways(part, labels) for part, _ in way.weights))
+            marked = self._marked(way, labels)
+            if marked.estimated and not choice.estimated:
+                choice = replace(choice, estimated=marked.estimated, rough=marked.rough)
+        return choice
 
     def _expanded(self, choice: Choice, labels: Mapping[str, tuple[str, ...]]) -> list[Mix]:
         used = list(dict.fromkeys([*(name for name, _ in choice.weights), *choice.plane]))
@@ -413,13 +426,14 @@ def _choices(located: Located, section: str, name: str, ways: Sequence[Mapping[s
     choices = []
     for i, way in enumerate(ways):
         aside, estimated = way.get("aside"), str(way.get("estimated", ""))
-        weights = {key: value for key, value in way.items() if key not in ("aside", "estimated")}
+        rough, last = bool(way.get("rough")), bool(way.get("last"))
+        weights = {key: value for key, value in way.items() if key not in ("aside", "estimated", "rough", "last")}
         if any(not isinstance(value, (int, float)) for value in weights.values()):
             raise located.error("expected weights over landmarks", section, name, i)
         if abs(sum(weights.values()) - 1.0) > 1e-9:
             raise located.error(f"the weights must add up to 1, got {sum(weights.values()):g}", section, name, i)
         plane, out = (tuple(aside["plane"]), float(aside["times"])) if aside else ((), 0.0)
-        choices.append(Choice(tuple(weights.items()), plane, out, estimated))
+        choices.append(Choice(tuple(weights.items()), plane, out, estimated, rough, last))
     return tuple(choices)
 
 
@@ -440,6 +454,8 @@ def _mirrored(found: Mapping[str, tuple[Choice, ...]], names: Iterable[str]) -> 
                     tuple(other(part) for part in choice.plane),
                     -choice.out,
                     choice.estimated,
+                    choice.rough,
+                    choice.last,
                 )
                 for choice in choices
             )

@@ -5,7 +5,7 @@ A joint with hidden markers is estimated from three other markers of its segment
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from itertools import combinations
 
 import numpy as np
@@ -50,8 +50,11 @@ def add_regressions(draft: BodyDraft, landmarks: Landmarks, reading: Reading, jo
     """Add the joints with regressions or centres; alternatives must agree in frames where both are visible."""
     with np.errstate(invalid="ignore", over="ignore"):
         size = _size(draft.positions)
-        for joint, (mixes, how) in landmarks.all_mixes(reading, joints).items():
-            draft.set(joint, *_agreeing(draft, mixes, size), how=how)
+        for joint, mixes in landmarks.all_mixes(reading, joints).items():
+            kept = _agreeing(draft, mixes, size)
+            if kept:
+                choice = mixes[kept[0]]
+                draft.set(joint, *kept, how=choice.estimated, rough=choice.rough)
     for joint, landmarks_of in _SEGMENTS.items():
         if joint in draft.joints and reading.skin:
             labels = [label for landmark in landmarks_of for label in reading.labels.get(landmark, ())]
@@ -61,7 +64,7 @@ def add_regressions(draft: BodyDraft, landmarks: Landmarks, reading: Reading, jo
             draft.joints[joint] = [best, *like, *others]
 
 
-def _agreeing(draft: BodyDraft, mixes: Sequence[Mix], size: float) -> list[Mix]:
+def _agreeing(draft: BodyDraft, mixes: Iterable[Mix], size: float) -> list[Mix]:
     """Return the mixes that are visible in some frame and agree with the position of the first one.
 
     If the first mix is visible in all sampled frames, few alternatives are kept.
@@ -110,7 +113,7 @@ def add_centres(draft: BodyDraft, reading: Reading) -> None:
     if chosen is not None:
         draft.joints["neck"] = [chosen]
         if chosen is between:
-            draft.estimated["neck"] = "amid the shoulders"
+            draft.mark("neck", "amid the shoulders", rough=True)
     add_head(draft, of)
     for side in SIDES:
         if f"{side}collar" in of:
@@ -131,11 +134,11 @@ def _root_of_hips(draft: BodyDraft, hips: Sequence[str], shoulders: Sequence[str
     """Place the root above and behind the middle of the hips, where the skeletons of Acclaim files have it."""
     middle = Mix(tuple((hip, 0.5) for hip in hips))
     if len(shoulders) != 2:
-        draft.joints["root"] = [middle]
+        draft.set("root", middle, how="amid the hips", rough=True)
         return
     up = tuple((hip, 0.5 - _ROOT_UP / 2) for hip in hips) + tuple((label, _ROOT_UP / 2) for label in shoulders)
     draft.joints["root"] = [Mix(up, plane=(hips[1], hips[0], shoulders[0]), out=-_ROOT_BACK), middle]
-    draft.estimated["root"] = "above and behind the middle of the hips"
+    draft.mark("root", "above and behind the middle of the hips")
 
 
 def is_near(draft: BodyDraft, label: str, between: Mix | None) -> bool:

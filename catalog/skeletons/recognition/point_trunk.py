@@ -23,11 +23,26 @@ SIDES = ("l", "r")
 
 @dataclass
 class BodyDraft:
-    """The joints found so far: the alternatives of each, best first, and how some of them are estimated."""
+    """The joints found so far.
+
+    Attributes
+    ----------
+    positions : dict of str to float64 array (3, K)
+        The points in K sampled frames.
+    joints : dict of str to list of Mix
+        The alternatives of each joint, the best first.
+    estimated : dict of str to str
+        How some of the joints are estimated.
+    rough : set of str
+        The joints of these whose estimate may be more than 5 cm off.
+    made : dict of Mix to float64 array (3, K)
+        Combinations of points that were computed before.
+    """
 
     positions: dict[str, F64]
     joints: dict[str, list[Mix]] = field(default_factory=dict)
     estimated: dict[str, str] = field(default_factory=dict)
+    rough: set[str] = field(default_factory=set)
     made: dict[Mix, F64] = field(default_factory=dict)
 
     def at(self, mix: Mix) -> F64:
@@ -36,13 +51,19 @@ class BodyDraft:
             self.made[mix] = mix.apply(self.positions, 1.0)
         return self.made[mix]
 
-    def set(self, joint: str, *mixes: Mix | None, how: str = "") -> None:
-        """Give a joint its alternatives if it has none, and record how it is estimated."""
+    def set(self, joint: str, *mixes: Mix | None, how: str = "", rough: bool = False) -> None:
+        """Give a joint its alternatives if it has none, and record how it is estimated, and whether roughly."""
         found = [mix for mix in mixes if mix is not None]
         if found and joint not in self.joints:
             self.joints[joint] = found
-            if how:
-                self.estimated[joint] = how
+            self.mark(joint, how, rough)
+
+    def mark(self, joint: str, how: str, rough: bool = False) -> None:
+        """Record how a joint is estimated, if `how` is not empty, and whether roughly."""
+        if how:
+            self.estimated[joint] = how
+            if rough:
+                self.rough.add(joint)
 
     def place(self, joint: str) -> F64 | None:
         """Return where a joint is in the sampled frames, (3, K); None if it is unknown."""
@@ -114,10 +135,10 @@ def add_head(draft: BodyDraft, of: Mapping[str, str]) -> None:
     face = middle or mean_of(eyes) or (one_point(of["nose"]) if "nose" in of else None)
     if head is None and middle is None and top is not None:
         head = blend(base, top, 0.6)
-        draft.estimated["head"] = "on the way from neck to the top"
+        draft.mark("head", "on the way from neck to the top")
     elif head is None and middle is None and face is not None:
         head = face
-        draft.estimated["head"] = "at the face"
+        draft.mark("head", "at the face", rough=True)
     head = middle or head
     if head is not None:
         draft.joints["head"] = [head]
@@ -125,7 +146,7 @@ def add_head(draft: BodyDraft, of: Mapping[str, str]) -> None:
             length = median_length(head.apply(draft.positions, 1.0) - base.apply(draft.positions, 1.0))
             if length > 0:
                 top = blend(base, head, float(np.clip(0.5 * trunk / length, 1.3, 3.0)))
-                draft.estimated["headtop"] = "past the head, by the length of the trunk"
+                draft.mark("headtop", "past the head, by the length of the trunk")
     if top is not None:
         draft.joints["headtop"] = [top]
 
@@ -145,12 +166,12 @@ def add_trunk(draft: BodyDraft, reading: Reading) -> None:
     for joint, share in (("chest", 2 / 3), ("belly", 1 / 3)):
         line = Mix((("root", round(1 - share, 6)), ("neck", round(share, 6))), of_joints=True)
         if joint not in draft.joints:
-            draft.set(joint, line, how="on the line from root to neck")
+            draft.set(joint, line, how="on the line from root to neck", rough=True)
         elif not draft.joints[joint][0].of_joints:
             draft.joints[joint].append(line)
     for joint, past in (("head", 0.25), ("headtop", 0.5)):
         mix = Mix((("root", -past), ("neck", 1 + past)), of_joints=True)
-        draft.set(joint, mix, how="past the neck, in line with the trunk")
+        draft.set(joint, mix, how="past the neck, in line with the trunk", rough=True)
     for side in SIDES:
         draft.set(f"{side}clavicle", *draft.joints["neck"])
 
@@ -194,7 +215,7 @@ def _knee_between_clusters(draft: BodyDraft, reading: Reading, side: str) -> Non
     gap = max(1.0 - down - up, 0.05)
     share = float(np.clip((0.51 - down) / gap, 0.0, 1.0))
     mix = blend(mean_of(thigh) or one_point(thigh[0]), mean_of(shank) or one_point(shank[0]), round(share, 3))
-    draft.set(f"{side}knee", mix, how="between the markers of thigh and shank")
+    draft.set(f"{side}knee", mix, how="between the markers of thigh and shank", rough=True)
 
 
 def add_ends(draft: BodyDraft, reading: Reading) -> None:
@@ -203,7 +224,7 @@ def add_ends(draft: BodyDraft, reading: Reading) -> None:
         wrist, elbow = f"{side}wrist", f"{side}elbow"
         if wrist in draft.joints and elbow in draft.joints:
             mix = Mix(((elbow, -0.25), (wrist, 1.25)), of_joints=True)
-            draft.set(f"{side}fingers", mix, how="past the wrist, in line with the forearm")
+            draft.set(f"{side}fingers", mix, how="past the wrist, in line with the forearm", rough=True)
         if reading.skin:
             _toes_of_markers(draft, reading, side)
         _toes(draft, side)
@@ -221,7 +242,7 @@ def _toes_of_markers(draft: BodyDraft, reading: Reading, side: str) -> None:
     width = median_length(draft.positions[of["lasis"]] - draft.positions[of["rasis"]])
     below = blend(one_point(knee), one_point(ankle), 1.14)
     mix = replace(below, plane=(of["rasis"], of["lasis"], above), out=round(0.36 * shank / width, 4))
-    draft.set(f"{side}toes", mix, how="in front of the ankle, as the pelvis faces")
+    draft.set(f"{side}toes", mix, how="in front of the ankle, as the pelvis faces", rough=True)
 
 
 def _toes(draft: BodyDraft, side: str) -> None:
@@ -242,4 +263,5 @@ def _toes(draft: BodyDraft, side: str) -> None:
         f"{side}toes",
         replace(below, plane=plane, out=round(0.36 * shank / width, 4)),
         how="in front of the ankle, as the pelvis faces",
+        rough=True,
     )

@@ -115,6 +115,7 @@ def _recognised(evidence: Evidence, joints: tuple[str, ...], form: Format, landm
     found = replace(
         fit,
         estimated=dict(draft.estimated),
+        rough=tuple(joint for joint in draft.estimated if joint in draft.rough),
         reasons=(counted, *reasons, *proportions.reasons),
         confidence=proportions.confidence,
     )

@@ -103,11 +103,15 @@ DOUBTFUL = 0.6
 
 
 def recognition_warnings(fit: Fit) -> list[str]:
-    """Return a warning about a recognition of low confidence; empty for any other."""
-    if not fit.recognised or fit.confidence >= DOUBTFUL:
-        return []
-    reasons = "; ".join(fit.reasons)
-    return [f"the body is recognised with a confidence of {fit.confidence:.2f}, check it: {reasons}"]
+    """Return warnings about rough estimates, labels that seem to be wrong, and a recognition of low confidence."""
+    warnings = list(fit.doubts)
+    if fit.rough:
+        how = ", ".join(f"{joint} ({fit.estimated[joint]})" for joint in fit.rough)
+        warnings.append(f"joints that the file does not show are estimated, and may be more than 5 cm off: {how}")
+    if fit.recognised and fit.confidence < DOUBTFUL:
+        reasons = "; ".join(fit.reasons)
+        warnings.append(f"the body is recognised with a confidence of {fit.confidence:.2f}, check it: {reasons}")
+    return warnings
 
 
 def recognition_evidence(fit: Fit) -> tuple[str, ...]:
