@@ -134,6 +134,9 @@ FORMS = {
     "Nexus CSV": Form(".csv", _nexus),
 }  # fmt: skip
 
+_ON_THE_FLOOR = ("03_rolling.c3d",)
+"""Recordings of people who lie, whose posture does not show which axis is vertical."""
+
 _NAMED = ("c3d/HDM_bd_05-01_01_120.c3d", "c3d/BTS.c3d", "c3d/Qualisys.c3d", "c3d/03_rolling.c3d",
           "wild/pyCGM/59993_Frame_Static.c3d", "wild/pyCGM/RoboStatic.c3d", "wild/pyCGM/Sample_Static.c3d",
           "wild/Pose2Sim_Blender/Pose2Sim_markers.trc", "wild/Pose2Sim_Blender/Moco_markers.trc",
@@ -262,7 +265,7 @@ def _scenes(made: Recording, form: str) -> Iterator[Mutation]:
     turned = made.positions[:, [0, 2, 1]] * np.array([1.0, -1.0, 1.0] if made.up == "y" else [1.0, 1.0, -1.0])[:, None]
     other = "z" if made.up == "y" else "y"
     yield Mutation("axis up, stated", other, replace(made, positions=turned, up=other))
-    yield Mutation("axis up, lying", other, replace(made, positions=turned))
+    yield Mutation("axis up, lying", other, replace(made, positions=turned), knowable=made.name not in _ON_THE_FLOOR)
     yield Mutation("handedness", "x mirrored", replace(made, positions=made.positions * [[-1.0], [1.0], [1.0]]))
     back = np.array([-1.0, -1.0, 1.0] if made.up == "z" else [-1.0, 1.0, -1.0])[:, None]
     yield Mutation("turned by 180 degrees", "", replace(made, positions=made.positions * back))

@@ -24,7 +24,7 @@ from kinedex.catalog.configs import Located, config_names, config_path, load_yam
 from kinedex.catalog.skeletons.body_evidence import Evidence
 from kinedex.catalog.skeletons.recognition.landmarks import Landmarks, landmarks_with
 from kinedex.catalog.skeletons.recognition.names import LONGEST_PREFIX, Vocabulary, load_vocabulary, parse_vocabulary
-from kinedex.catalog.skeletons.recognition.points import recognise_points
+from kinedex.catalog.skeletons.recognition.points import doubted_labels, recognise_points
 from kinedex.catalog.skeletons.recognition.recognised_tree import recognise_tree
 from kinedex.catalog.skeletons.skeleton_fit import Axis, Fit, Format, LimbEntry, Mix, SkeletonMapping, limb_sources
 from kinedex.ops.arrays import F64
@@ -156,8 +156,11 @@ class Mappings:
 
         For such a mapping the body is recognised from these names.
         """
-        shipped = mapping.format not in self.forced and mapping not in self.own.get(mapping.format, ())
-        return shipped and bool(mapping.order)
+        return self._is_shipped(mapping) and bool(mapping.order)
+
+    def _is_shipped(self, mapping: SkeletonMapping) -> bool:
+        """Return whether a mapping comes with kinedex, and was chosen by the names of a file."""
+        return mapping.format not in self.forced and mapping not in self.own.get(mapping.format, ())
 
     def _may_fit(self, mapping: SkeletonMapping, source: str | Path, nodes: Iterable[str]) -> bool:
         """Return whether a mapping may be used for a file: its `only` admits the file, or the user chose it."""
@@ -201,7 +204,8 @@ class Mappings:
         """
         fit = self.exact(source, form, nodes)
         if fit is not None and (evidence is None or not self._only_names(fit.mapping)):
-            return fit
+            points = evidence is not None and evidence.parents is None and self._is_shipped(fit.mapping)
+            return doubted_labels(fit, evidence, self.joints, self.landmarks) if points and evidence else fit
         if evidence is not None:
             return self.recognised(source, form, evidence)
         near = self.nearest(form, nodes)

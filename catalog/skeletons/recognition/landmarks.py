@@ -154,12 +154,13 @@ class Landmarks:
     _readings: dict[tuple[str, ...], Reading] = field(default_factory=dict, init=False, repr=False)
 
     def read(self, labels: Sequence[str]) -> Reading:
-        """Return the landmarks that labels name, after removing the prefix without which most are recognised."""
+        """Return the landmarks that labels name, without the prefix or the ending that hides most of them."""
         known = self._readings.get(tuple(labels))
         if known is not None:
             return known
         prefixes = sorted({"", *_prefixes(labels)}, key=len)
-        found = max((self._read(labels, prefix) for prefix in prefixes), key=lambda found: found.known)
+        around = [*((prefix, "") for prefix in prefixes), *(("", ending) for ending in _endings(labels))]
+        found = max((self._read(labels, *one) for one in around), key=lambda found: found.known)
         if len(self._readings) > 256:
             self._readings.clear()
         self._readings[tuple(labels)] = found
@@ -172,11 +173,11 @@ class Landmarks:
                 reading.made[joint] = self.mixes(joint, reading.labels)
         return {joint: reading.made[joint] for joint in joints}
 
-    def _read(self, labels: Sequence[str], prefix: str) -> Reading:
+    def _read(self, labels: Sequence[str], prefix: str, ending: str) -> Reading:
         stems = Counter(label[:-1] for label in labels if label[-1:] in _MODEL)
         models = {stem for stem, count in stems.items() if count >= _FEW_OF_MODEL}
         keys = {
-            label: self._key_of(label.removeprefix(prefix))
+            label: self._key_of(label.removeprefix(prefix).removesuffix(ending))
             for label in labels
             if not (label[-1:] in _MODEL and label[:-1] in models)
         }
@@ -287,6 +288,17 @@ def _prefixes(labels: Sequence[str]) -> list[str]:
     starts = Counter(label[:size] for label in some for size in (1, 2, 3, 4, 5, 6, 8, 10) if len(label) > size + 1)
     glued = [start for start, count in starts.items() if 3 * count > 2 * len(some) > 6]
     return [*usual, *glued]
+
+
+def _endings(labels: Sequence[str]) -> list[str]:
+    """Return the endings of most labels that begin with a separator, such as `_m`."""
+    marks = Counter(
+        label[mark.start() :]
+        for label in labels
+        for mark in re.finditer(r"[^A-Za-z0-9]", label)
+        if 0 < mark.start() < len(label) - 1 and len(label) - mark.start() <= LONGEST_PREFIX
+    )
+    return [ending for ending, count in marks.most_common(4) if 3 * count > 2 * len(labels)]
 
 
 def _assigned(

@@ -13,6 +13,7 @@ from pathlib import Path
 import numpy as np
 
 from kinedex.catalog.skeletons.body_evidence import Evidence
+from kinedex.catalog.skeletons.recognition.exchanged_labels import exchanged_labels
 from kinedex.catalog.skeletons.recognition.landmarks import Landmarks, Reading, load_landmarks
 from kinedex.catalog.skeletons.recognition.point_centres import add_centres, add_regressions
 from kinedex.catalog.skeletons.recognition.point_trunk import SIDES, BodyDraft, add_ends, add_trunk
@@ -95,6 +96,21 @@ def propose_points(
     return _recognised(evidence, joints, form, landmarks or load_landmarks())[0]
 
 
+def doubted_labels(
+    fit: Fit, evidence: Evidence, joints: tuple[str, ...], landmarks: Landmarks | None = None
+) -> Fit:
+    """Return the fit of a mapping to points, with a warning if two of their labels seem to be exchanged.
+
+    Parameters
+    ----------
+    fit : Fit
+        The fit of a mapping whose names all occur.
+    evidence, joints, landmarks
+        As for `recognise_points`.
+    """
+    return replace(fit, doubts=propose_points(evidence, joints, fit.mapping.format, landmarks).doubts)
+
+
 @np.errstate(over="ignore", invalid="ignore")  # Absurd numbers are refused later.
 def _recognised(evidence: Evidence, joints: tuple[str, ...], form: Format, landmarks: Landmarks) -> tuple[Fit, str]:
     """Return the best fit, and why it is no body; an empty text if it is one."""
@@ -117,6 +133,7 @@ def _recognised(evidence: Evidence, joints: tuple[str, ...], form: Format, landm
         estimated=dict(draft.estimated),
         rough=tuple(joint for joint in draft.estimated if joint in draft.rough),
         reasons=(counted, *reasons, *proportions.reasons),
+        doubts=tuple(exchanged_labels(draft, reading, proportions.leg)),
         confidence=proportions.confidence,
     )
     return found, f"{refusal}{_found(draft, reading, evidence)}" if refusal else ""
@@ -199,11 +216,14 @@ class Proportions:
         Phrases on proportions that are not human.
     reasons : tuple of str
         Sentences for `kinedex inspect`.
+    leg : float
+        Length of a leg, measured or estimated from other limbs; 0 if no limb can be measured.
     """
 
     confidence: float
     doubts: tuple[str, ...]
     reasons: tuple[str, ...]
+    leg: float
 
 
 def check_proportions(positions: Mapping[str, F64]) -> Proportions:
@@ -247,7 +267,7 @@ def check_proportions(positions: Mapping[str, F64]) -> Proportions:
         doubts += ["no length"] * 3
     confidence = max(0.0, 1.0 - _COST * len(doubts))
     text = f"in lengths of a leg: {', '.join(shares)}" if shares else "no limb can be measured"
-    return Proportions(confidence, tuple(doubts), (text, *doubts))
+    return Proportions(confidence, tuple(doubts), (text, *doubts), unit)
 
 
 def _lengths(positions: Mapping[str, F64], a: str, b: str) -> F64:

@@ -19,7 +19,7 @@ from kinedex.catalog.skeletons.body_evidence import SAMPLED_FRAMES, Evidence
 from kinedex.catalog.skeletons.mappings import Format, Mappings
 from kinedex.catalog.skeletons.recognition.landmarks import load_landmarks
 from kinedex.catalog.skeletons.recognition.recognised_tree import joint_positions
-from kinedex.catalog.skeletons.skeleton_fit import Fit, axes_of_up
+from kinedex.catalog.skeletons.skeleton_fit import Fit, Mix, axes_of_up
 from kinedex.ops.body import kinematics
 from kinedex.ops.body.resample import Gap, fill_gaps
 from kinedex.ops.body.up_axis import up_axis
@@ -37,9 +37,12 @@ from kinedex.storage.formats.motion.reader import (
 )
 
 F64 = npt.NDArray[np.float64]
+I64 = npt.NDArray[np.int64]
 Mask = npt.NDArray[np.bool_]
 
 _BLOCK_FRAMES = 16_384  # frames at once: some 10 MB of joints
+_COMPARED = 500  # frames in which a joint is compared with where other points would place it
+_BESIDE_M = 0.015  # a smaller distance from there is within the tolerance of 2 cm
 _SPINE = ("chest", "neck", "belly", "head")  # the first known one gives the root's up direction
 
 
@@ -143,6 +146,7 @@ def body_of_points(
     evidence = list(recognition_evidence(fit))
     unit = to_metres(path, positions, points.unit_m or fit.mapping.unit_m, joints, warnings, evidence, first, stated)
     refuse_far(path, positions, joints, fit.unknown, valid)
+    warnings += _replaced(points, fit, positions, joints, float(unit.split()[0]))
     return Body(
         positions=positions,
         orientation=root_orientation(positions, joints, valid, warnings),
@@ -193,6 +197,63 @@ def _placed(points: F64, fit: Fit, joints: tuple[str, ...]) -> F64:
         stop = start + _BLOCK_FRAMES
         positions[:, :, start:stop] = fit.apply(points[:, :, start:stop], joints)
     return positions
+
+
+def _replaced(points: Points, fit: Fit, positions: F64, joints: tuple[str, ...], unit_m: float) -> list[str]:
+    """Return a warning on joints that, where their points are hidden, are placed by others at a distance from there.
+
+    Parameters
+    ----------
+    points : Points
+        The points, whose short gaps are filled.
+    fit : Fit
+        The skeleton mapping.
+    positions : float64 array (J, 3, T)
+        The joints in metres.
+    joints : tuple of str
+        The names of the J joints.
+    unit_m : float
+        Metres of the points' unit.
+    """
+    found = []
+    for joint, others in fit.instead.items():
+        first = fit.joints[joint]
+        if first is None or first.of_joints:
+            continue
+        lost = np.isnan(points.positions[[fit.indices[name] for name in first.names]]).any(axis=(0, 1))
+        if not lost.any():
+            continue
+        seen = np.flatnonzero(~lost)[:: max(1, np.count_nonzero(~lost) // _COMPARED)]
+        frames, far = 0, 0.0
+        for other in others:
+            there = lost & ~np.isnan(_other_points(points, fit, positions, joints, other)).any(axis=(0, 1))
+            away = _moved(points, fit, positions, joints, joint, other, seen, unit_m)
+            if there.any() and away > _BESIDE_M:
+                frames, far = frames + np.count_nonzero(there), max(far, away)
+            lost &= ~there
+        if frames:
+            found.append(f"{joint} in {frames} frames (by {100 * far:.0f} cm)")
+    text = "where their points are hidden, joints are placed by others, beside where they would be"
+    return [f"{text}: {', '.join(found)}"] if found else []
+
+
+def _other_points(points: Points, fit: Fit, positions: F64, joints: tuple[str, ...], mix: Mix) -> F64:
+    """Return the points, or the joints, that a mix combines (n, 3, T)."""
+    if mix.of_joints:
+        return positions[[joints.index(name) for name in mix.names]]
+    return points.positions[[fit.indices[name] for name in mix.names]]
+
+
+def _moved(
+    points: Points, fit: Fit, positions: F64, joints: tuple[str, ...], joint: str, mix: Mix, frames: I64, unit_m: float
+) -> float:
+    """Return the median distance, in metres, of a mix from its joint in frames where both are seen; 0 without any."""
+    parts = _other_points(points, fit, positions, joints, mix)[:, :, frames]
+    axes, scale = (np.eye(3), 1.0) if mix.of_joints else (fit.mapping.axes, unit_m)
+    placed = scale * axes @ mix.apply(dict(zip(mix.names, parts, strict=True)), float(np.sign(np.linalg.det(axes))))
+    away = np.linalg.norm(placed - positions[joints.index(joint)][:, frames], axis=0)
+    away = away[np.isfinite(away)]
+    return float(np.median(away)) if len(away) else 0.0
 
 
 def _invalid(

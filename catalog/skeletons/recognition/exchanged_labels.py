@@ -1,0 +1,170 @@
+"""Find labels that seem to be exchanged among the points of a body: its two sides are alike, and its front is in front.
+
+A body with two labels exchanged is still a body, so that proportions alone do not show it. Points of one side are
+compared with those of the other, points in the middle with both, and the direction in which the sides say that the body
+faces with that of toes, pelvis, thorax and face.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+
+import numpy as np
+
+from kinedex.catalog.skeletons.recognition.landmarks import Reading
+from kinedex.catalog.skeletons.recognition.point_trunk import SIDES, BodyDraft, median_of
+from kinedex.ops.arrays import F64
+
+_CHAIN = {
+    "toe1": ("heel", "anklelat"), "toe2": ("heel", "anklelat"), "toe5": ("heel", "anklelat"),
+    "heel": ("anklelat", "anklejoint"), "anklelat": ("kneelat", "kneemed"), "anklemed": ("kneemed", "kneelat"),
+    "kneelat": ("hip",), "kneemed": ("hip",), "psis": ("asis",), "trochanter": ("asis", "psis"),
+    "elbowlat": ("acromion",), "elbowmed": ("acromion",), "wristrad": ("elbowlat", "elbowmed"),
+    "wristuln": ("elbowmed", "elbowlat"), "wrist": ("elbowlat",), "hand": ("wristuln", "wristrad", "wrist"),
+    "hand2": ("wristrad",), "hand5": ("wristuln",), "headfront": ("headback",),
+    "kneejoint": ("hipjoint",), "anklejoint": ("kneejoint",), "bigtoe": ("anklejoint",), "smalltoe": ("anklejoint",),
+    "elbowjoint": ("shoulderjoint",), "wristjoint": ("elbowjoint",), "shoulderjoint": ("hipjoint",),
+    "acromion": ("hip",),
+}  # fmt: skip
+"""Landmarks of a side, each with those nearer to the trunk from which its distance hardly changes, the best first."""
+
+_BENDING = ("acromion", "shoulderjoint")  # at the end of a trunk that bends, so that only crossing is looked for
+
+_MIDDLE = {
+    "c7": ("acromion",), "clav": ("acromion",), "strn": ("acromion",), "t10": ("acromion",), "sacrum": ("psis", "asis"),
+    "neckjoint": ("shoulderjoint",), "pelvis": ("hipjoint",), "nose": ("ear", "eye"),
+}  # fmt: skip
+"""Landmarks in the middle, each with landmarks of both sides from which it is equally far."""
+
+_LEVELS = (
+    ("strn", "clav"), ("t10", "c7"), ("sacrum", "t10"), ("c7", "lheadback"), ("c7", "rheadback"),
+    ("clav", "lheadfront"), ("clav", "rheadfront"), ("pelvis", "neckjoint"),
+)  # fmt: skip
+"""Pairs of landmarks of the trunk, the lower one first."""
+
+_UNEVEN = 0.08  # of a leg, some 7 cm; right files differ by up to 6 cm, as markers are not set alike
+_UNEVEN_MIDDLE = 0.12  # of a leg; shoulders move against the spine
+_SURE = 0.2  # cosine of an angle from which a direction points ahead or back
+_SHOWN = 4  # most findings in a warning
+
+
+def exchanged_labels(draft: BodyDraft, reading: Reading, leg: float) -> list[str]:
+    """Return a warning if labels contradict each other; empty for a body whose sides and front agree.
+
+    Parameters
+    ----------
+    draft : BodyDraft
+        The points in sampled frames, and the joints found.
+    reading : Reading
+        The landmarks that the labels name.
+    leg : float
+        Length of a leg in the unit of the points.
+    """
+    if not leg > 0:
+        return []
+    places = {name: draft.positions[labels[0]] for name, labels in reading.labels.items() if len(labels) == 1}
+    called = {name: labels[0] for name, labels in reading.labels.items()}
+    for joint in ("lhip", "rhip"):
+        place = draft.place(joint)
+        if place is not None:
+            places[joint], called[joint] = place, f"the {'left' if joint[0] == 'l' else 'right'} hip"
+    found = [
+        *_mirrored(draft, places, called),
+        *_sides(places, called, leg),
+        *_middles(places, called, leg),
+        *_levels(draft, places, called),
+    ]
+    if not found:
+        return []
+    more = f", and {len(found) - _SHOWN} more such findings" if len(found) > _SHOWN else ""
+    return [f"labels may be exchanged, or stand for other points: {'; '.join(found[:_SHOWN])}{more}"]
+
+
+def _apart(a: F64, b: F64) -> F64:
+    return np.asarray(np.sqrt(((a - b) ** 2).sum(axis=0)))
+
+
+def _sides(places: Mapping[str, F64], called: Mapping[str, str], leg: float) -> Iterator[str]:
+    """Yield a clause for each landmark that is nearer to the other side, or not as far from its neighbour as there."""
+    for part, nearer in _CHAIN.items():
+        inner = next((one for one in nearer if {f"l{one}", f"r{one}"} <= places.keys()), None)
+        if inner is None or not {f"l{part}", f"r{part}"} <= places.keys():
+            continue
+        left, right = (places[f"{side}{part}"] for side in SIDES)
+        near_left, near_right = (places[f"{side}{inner}"] for side in SIDES)
+        own = [_apart(left, near_left), _apart(right, near_right)]
+        crossed = _apart(left, near_right) + _apart(right, near_left)
+        if median_of(crossed - own[0] - own[1]) < 0:
+            yield (
+                f"{called[f'l{part}']} and {called[f'r{part}']} are nearer to {called[f'r{inner}']} and "
+                f"{called[f'l{inner}']} than to those of their own sides"
+            )
+        elif part not in _BENDING and abs(median_of(own[0]) - median_of(own[1])) > _UNEVEN * leg:
+            ratio = median_of(own[0]) / median_of(own[1])
+            yield (
+                f"{called[f'l{part}']} and {called[f'l{inner}']} are {ratio:.2f} times as far apart as "
+                f"{called[f'r{part}']} and {called[f'r{inner}']}"
+            )
+
+
+def _middles(places: Mapping[str, F64], called: Mapping[str, str], leg: float) -> Iterator[str]:
+    """Yield a clause for each landmark of the middle that is much nearer to one side."""
+    for part, sides in _MIDDLE.items():
+        side = next((one for one in sides if {f"l{one}", f"r{one}"} <= places.keys()), None)
+        if side is None or part not in places:
+            continue
+        to_left, to_right = (median_of(_apart(places[part], places[f"{one}{side}"])) for one in SIDES)
+        if abs(to_left - to_right) > _UNEVEN_MIDDLE * leg:
+            yield (
+                f"{called[part]} is {to_left / to_right:.2f} times as far from {called[f'l{side}']} as from "
+                f"{called[f'r{side}']}"
+            )
+
+
+def _levels(draft: BodyDraft, places: Mapping[str, F64], called: Mapping[str, str]) -> Iterator[str]:
+    """Yield a clause for each pair of landmarks of the trunk of which the lower one is above the other."""
+    root, neck = draft.place("root"), draft.place("neck")
+    if root is None or neck is None:
+        return
+    for lower, upper in _LEVELS:
+        if (
+            lower in places
+            and upper in places
+            and median_of(((places[upper] - places[lower]) * (neck - root)).sum(axis=0)) < 0
+        ):
+            yield f"{called[lower]} is above {called[upper]}"
+
+
+def _mirrored(draft: BodyDraft, places: Mapping[str, F64], called: Mapping[str, str]) -> Iterator[str]:
+    """Yield a clause if toes, pelvis, thorax and face point backwards by the two sides, or one of them does."""
+    at = {joint: draft.place(joint) for joint in ("lhip", "rhip", "root", "neck")}
+    left, right, root, neck = at["lhip"], at["rhip"], at["root"], at["neck"]
+    if left is None or right is None or root is None or neck is None:
+        return
+    ahead = np.cross(left - right, neck - root, axis=0)
+    votes = {
+        f"{called[back]} and {called[front]}": cosine
+        for back, front in _fronts(places)
+        if abs(cosine := median_of(_cosine(places[front] - places[back], ahead))) > _SURE
+    }
+    behind = [pair for pair, cosine in votes.items() if cosine < 0]
+    if len(behind) > len(votes) / 2:
+        yield f"by left and right the body faces backwards, as {behind[0]} show: its sides, or its axes, are mirrored"
+    else:
+        yield from (f"{pair} lie the other way round than the body faces" for pair in behind)
+
+
+def _fronts(places: Mapping[str, F64]) -> Iterator[tuple[str, str]]:
+    """Yield pairs of landmarks, of which the second is in front of the first in every posture."""
+    for side in SIDES:
+        toes = next((one for one in ("toe2", "toe1", "toe5", "toetip", "bigtoe") if f"{side}{one}" in places), None)
+        heel = next((one for one in ("heel", "anklelat", "anklejoint") if f"{side}{one}" in places), None)
+        if toes and heel:
+            yield f"{side}{heel}", f"{side}{toes}"
+    pairs = [("lpsis", "lasis"), ("rpsis", "rasis"), ("sacrum", "lasis"), ("c7", "clav"), ("t10", "strn")]
+    yield from ((back, front) for back, front in [*pairs, ("lear", "nose")] if {back, front} <= places.keys())
+
+
+def _cosine(a: F64, b: F64) -> F64:
+    with np.errstate(invalid="ignore", divide="ignore"):
+        return np.asarray((a * b).sum(axis=0) / np.sqrt((a * a).sum(axis=0) * (b * b).sum(axis=0)))
