@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -18,6 +19,11 @@ from tests.point_files import motive_csv, nexus_csv
 
 FRAMES = 120
 """Frames of a recording, spread evenly over its motion."""
+
+_COMPUTED = re.compile(
+    r".*(CentreOfMass|Angles|Moment|Force|Power)|[LR]?(PEL|TRX|HED|FE|TI|FO|TO|HU|RA|HN|CL|UP)[OALP]$"
+)
+"""What Plug-in Gait computes of markers: no marker is exchanged with it."""
 
 UNITS_M = {"mm": 0.001, "cm": 0.01, "dm": 0.1, "m": 1.0, "in": 0.0254, "ft": 0.3048}
 
@@ -222,10 +228,10 @@ def _exchanges(made: Recording) -> Iterator[Mutation]:
     if sides:
         yield Mutation("all sides exchanged", "", _renamed(made, sides), knowable=False)
     middle = np.nanmean(made.positions, axis=2)
-    for i, label in enumerate(made.labels):
+    markers = [i for i, label in enumerate(made.labels) if not _COMPUTED.match(label)]
+    for i, label in ((i, made.labels[i]) for i in markers):
         away = np.linalg.norm(middle - middle[i], axis=1)
-        away[i] = np.inf
-        j = int(np.nanargmin(away))
+        j = min((j for j in markers if j != i), key=lambda j: away[j])
         yield Mutation(
             "neighbours exchanged", f"{label} {made.labels[j]}", _renamed(made, {i: made.labels[j], j: label})
         )
@@ -249,9 +255,7 @@ def _labels(made: Recording, random: np.random.Generator) -> Iterator[Mutation]:
     for label in ("*{}", "U_{}", "C_{}"):
         ghosts = np.repeat(random.uniform(-1, 1, (3, 3, 1)) + np.nanmean(made.positions), frames, axis=2)
         ghosts[np.repeat(random.random((3, 1, frames)) < 0.5, 3, axis=1)] = np.nan
-        yield Mutation(
-            "unlabelled points added", label, _added(made, [label.format(10 + k) for k in range(3)], ghosts)
-        )
+        yield Mutation("unlabelled points added", label, _added(made, [label.format(10 + k) for k in range(3)], ghosts))
 
 
 def _scenes(made: Recording, form: str) -> Iterator[Mutation]:

@@ -22,13 +22,21 @@ _CHAIN = {
     "elbowlat": ("acromion",), "elbowmed": ("acromion",), "wristrad": ("elbowlat", "elbowmed"),
     "wristuln": ("elbowmed", "elbowlat"), "wrist": ("elbowlat",), "hand": ("wristuln", "wristrad", "wrist"),
     "hand2": ("wristrad",), "hand5": ("wristuln",), "headfront": ("headback",),
-    "kneejoint": ("hipjoint",), "anklejoint": ("kneejoint",), "bigtoe": ("anklejoint",), "smalltoe": ("anklejoint",),
-    "elbowjoint": ("shoulderjoint",), "wristjoint": ("elbowjoint",), "shoulderjoint": ("hipjoint",),
-    "acromion": ("hip",),
+    "kneejoint": ("hipjoint",), "anklejoint": ("kneejoint",), "bigtoe": ("heel", "anklejoint"),
+    "smalltoe": ("heel", "anklejoint"), "elbowjoint": ("shoulderjoint",), "wristjoint": ("elbowjoint",),
+    "shoulderjoint": ("hipjoint",), "acromion": ("hip",),
 }  # fmt: skip
-"""Landmarks of a side, each with those nearer to the trunk from which its distance hardly changes, the best first."""
+"""Landmarks of a side, each with those nearer to the trunk from which its distance hardly changes."""
 
 _BENDING = ("acromion", "shoulderjoint")  # at the end of a trunk that bends, so that only crossing is looked for
+_FEET = ("toe1", "toe2", "toe5", "bigtoe", "smalltoe")
+
+_RIGID = (
+    ("lasis", "rasis"), ("lasis", "lpsis"), ("lasis", "rpsis"), ("rasis", "rpsis"), ("lheadfront", "rheadback"),
+    ("lheadback", "rheadfront"), ("lheadfront", "rheadfront"), ("lheel", "ltoe2"), ("rheel", "rtoe2"),
+    ("lheel", "lanklelat"), ("rheel", "ranklelat"), ("clav", "strn"), ("c7", "t10"),
+)  # fmt: skip
+"""Pairs of landmarks whose distance stays the same, as they lie on one bone or nearly so."""
 
 _MIDDLE = {
     "c7": ("acromion",), "clav": ("acromion",), "strn": ("acromion",), "t10": ("acromion",), "sacrum": ("psis", "asis"),
@@ -42,7 +50,17 @@ _LEVELS = (
 )  # fmt: skip
 """Pairs of landmarks of the trunk, the lower one first."""
 
-_UNEVEN = 0.08  # of a leg, some 7 cm; right files differ by up to 6 cm, as markers are not set alike
+_FARTHER = (
+    ("kneelat", "anklelat", "heel"), ("kneejoint", "anklejoint", "heel"), ("elbowlat", "wristrad", "hand"),
+    ("elbowlat", "wristuln", "hand"), ("elbowlat", "wristrad", "hand2"), ("elbowlat", "wristuln", "hand5"),
+    ("heel", "anklelat", "toe2"), ("heel", "anklelat", "toe5"), ("heel", "anklejoint", "bigtoe"),
+)  # fmt: skip
+"""Landmarks of a side, of which the second is nearer to the first than the third is, however the limb is bent."""
+
+_UNEVEN = 0.07  # of a leg, some 6 cm; right files differ by up to 5 cm, as markers are not set alike
+_UNEVEN_HANDS = 0.08  # of a leg, as the markers of hands are set where there is room
+_UNEVEN_FOOT = (0.25, 0.045)  # of the distance, at least so much of a leg
+_MOVING = (0.1, 0.02)  # half the interquartile range, as a share of the distance, at least so much of a leg
 _UNEVEN_MIDDLE = 0.12  # of a leg; shoulders move against the spine
 _SURE = 0.2  # cosine of an angle from which a direction points ahead or back
 _SHOWN = 4  # most findings in a warning
@@ -71,6 +89,8 @@ def exchanged_labels(draft: BodyDraft, reading: Reading, leg: float) -> list[str
     found = [
         *_mirrored(draft, places, called),
         *_sides(places, called, leg),
+        *_moving(places, called, leg),
+        *_farther(places, called),
         *_middles(places, called, leg),
         *_levels(draft, places, called),
     ]
@@ -86,9 +106,8 @@ def _apart(a: F64, b: F64) -> F64:
 
 def _sides(places: Mapping[str, F64], called: Mapping[str, str], leg: float) -> Iterator[str]:
     """Yield a clause for each landmark that is nearer to the other side, or not as far from its neighbour as there."""
-    for part, nearer in _CHAIN.items():
-        inner = next((one for one in nearer if {f"l{one}", f"r{one}"} <= places.keys()), None)
-        if inner is None or not {f"l{part}", f"r{part}"} <= places.keys():
+    for part, inner in ((part, inner) for part, nearer in _CHAIN.items() for inner in nearer):
+        if not {f"{side}{name}" for side in SIDES for name in (part, inner)} <= places.keys():
             continue
         left, right = (places[f"{side}{part}"] for side in SIDES)
         near_left, near_right = (places[f"{side}{inner}"] for side in SIDES)
@@ -99,16 +118,54 @@ def _sides(places: Mapping[str, F64], called: Mapping[str, str], leg: float) -> 
                 f"{called[f'l{part}']} and {called[f'r{part}']} are nearer to {called[f'r{inner}']} and "
                 f"{called[f'l{inner}']} than to those of their own sides"
             )
-        elif part not in _BENDING and abs(median_of(own[0]) - median_of(own[1])) > _UNEVEN * leg:
-            ratio = median_of(own[0]) / median_of(own[1])
+            continue
+        first, second = map(median_of, own)
+        if part not in _BENDING and abs(first - second) > _tolerance(part, (first + second) / 2, leg):
             yield (
-                f"{called[f'l{part}']} and {called[f'l{inner}']} are {ratio:.2f} times as far apart as "
+                f"{called[f'l{part}']} and {called[f'l{inner}']} are {first / second:.2f} times as far apart as "
                 f"{called[f'r{part}']} and {called[f'r{inner}']}"
             )
 
 
+def _tolerance(part: str, distance: float, leg: float) -> float:
+    """Return by how much the distances of a landmark from its neighbour may differ between the sides."""
+    if part in _FEET:
+        share, least = _UNEVEN_FOOT
+        return min(max(share * distance, least * leg), _UNEVEN * leg)
+    return (_UNEVEN_HANDS if part.startswith("h") else _UNEVEN) * leg
+
+
+def _moving(places: Mapping[str, F64], called: Mapping[str, str], leg: float) -> Iterator[str]:
+    """Yield a clause for each pair of landmarks of one bone whose distance changes."""
+    for a, b in _RIGID:
+        if a in places and b in places:
+            lengths = _apart(places[a], places[b])
+            lengths = lengths[np.isfinite(lengths)]
+            if len(lengths) > 2:
+                low, middle, high = np.percentile(lengths, [25, 50, 75])
+                if (high - low) / 2 > max(_MOVING[0] * middle, _MOVING[1] * leg):
+                    yield f"{called[a]} and {called[b]}, which lie on one bone, move against each other"
+
+
+def _farther(places: Mapping[str, F64], called: Mapping[str, str]) -> Iterator[str]:
+    """Yield a clause for each landmark that is nearer to the trunk, or to the heel, than one that lies before it."""
+    for side in SIDES:
+        for first, near, far in ((f"{side}{a}", f"{side}{b}", f"{side}{c}") for a, b, c in _FARTHER):
+            if {first, near, far} <= places.keys():
+                away = _apart(places[first], places[far]) - _apart(places[first], places[near])
+                if median_of(away) < 0:
+                    yield f"{called[far]} is nearer to {called[first]} than {called[near]}"
+
+
 def _middles(places: Mapping[str, F64], called: Mapping[str, str], leg: float) -> Iterator[str]:
-    """Yield a clause for each landmark of the middle that is much nearer to one side."""
+    """Yield a clause for each landmark of the middle, and of the pelvis, that is not in the middle of two others."""
+    if {"lasis", "rasis", "lpsis", "rpsis"} <= places.keys():
+        across = [median_of(_apart(places[f"{a}asis"], places[f"{b}psis"])) for a, b in ("lr", "rl")]
+        if abs(across[0] - across[1]) > _UNEVEN * leg:
+            yield (
+                f"{called['lasis']} and {called['rpsis']} are {across[0] / across[1]:.2f} times as far apart as "
+                f"{called['rasis']} and {called['lpsis']}"
+            )
     for part, sides in _MIDDLE.items():
         side = next((one for one in sides if {f"l{one}", f"r{one}"} <= places.keys()), None)
         if side is None or part not in places:

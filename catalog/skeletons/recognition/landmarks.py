@@ -159,7 +159,7 @@ class Landmarks:
         if known is not None:
             return known
         prefixes = sorted({"", *_prefixes(labels)}, key=len)
-        around = [*((prefix, "") for prefix in prefixes), *(("", ending) for ending in _endings(labels))]
+        around = product(prefixes, ("", *_endings(labels)))
         found = max((self._read(labels, *one) for one in around), key=lambda found: found.known)
         if len(self._readings) > 256:
             self._readings.clear()
@@ -285,7 +285,7 @@ def _prefixes(labels: Sequence[str]) -> list[str]:
     )
     usual = [prefix for prefix, count in marks.most_common(8) if 3 * count > len(labels)]
     some = labels[:_LOOKED_AT]
-    starts = Counter(label[:size] for label in some for size in (1, 2, 3, 4, 5, 6, 8, 10) if len(label) > size + 1)
+    starts = Counter(label[:size] for label in some for size in (*range(1, 11), 12) if len(label) > size + 1)
     glued = [start for start, count in starts.items() if 3 * count > 2 * len(some) > 6]
     return [*usual, *glued]
 

@@ -96,9 +96,7 @@ def propose_points(
     return _recognised(evidence, joints, form, landmarks or load_landmarks())[0]
 
 
-def doubted_labels(
-    fit: Fit, evidence: Evidence, joints: tuple[str, ...], landmarks: Landmarks | None = None
-) -> Fit:
+def doubted_labels(fit: Fit, evidence: Evidence, joints: tuple[str, ...], landmarks: Landmarks | None = None) -> Fit:
     """Return the fit of a mapping to points, with a warning if two of their labels seem to be exchanged.
 
     Parameters

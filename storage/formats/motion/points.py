@@ -247,13 +247,13 @@ def _other_points(points: Points, fit: Fit, positions: F64, joints: tuple[str, .
 def _moved(
     points: Points, fit: Fit, positions: F64, joints: tuple[str, ...], joint: str, mix: Mix, frames: I64, unit_m: float
 ) -> float:
-    """Return the median distance, in metres, of a mix from its joint in frames where both are seen; 0 without any."""
+    """Return how far a mix is from its joint in nine of ten frames where both are seen, in metres; 0 without any."""
     parts = _other_points(points, fit, positions, joints, mix)[:, :, frames]
     axes, scale = (np.eye(3), 1.0) if mix.of_joints else (fit.mapping.axes, unit_m)
     placed = scale * axes @ mix.apply(dict(zip(mix.names, parts, strict=True)), float(np.sign(np.linalg.det(axes))))
     away = np.linalg.norm(placed - positions[joints.index(joint)][:, frames], axis=0)
     away = away[np.isfinite(away)]
-    return float(np.median(away)) if len(away) else 0.0
+    return float(np.percentile(away, 90)) if len(away) else 0.0
 
 
 def _invalid(
