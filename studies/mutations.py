@@ -1,8 +1,8 @@
-"""`python -m studies.mutations DATA [--hold FORMAT]`: change one thing in a motion file, and see whether a joint moves.
+"""`python -m studies.mutations DATA [--hold FORMAT]`: change one thing in a motion file and see whether a joint moves.
 
-DATA is a folder with `c3d`, `wild`, `cameras`, `cmu`, `bandai` and `hdm05`. Recordings that are read rightly are written
-anew with one mutation each (studies/point_mutations.py, studies/skeleton_mutations.py), read again, and compared with
-what was read before. One line for each format and mutation counts the outcomes:
+DATA is a folder with `c3d`, `wild`, `cameras`, `cmu`, `bandai` and `hdm05`. Recordings that are read rightly are
+written anew with one mutation each (studies/point_mutations.py), read again, and compared with what was read before.
+One line for each format and mutation counts the outcomes:
 
 right
     Every joint is within 2 cm of its place in the frames that have one.

@@ -219,7 +219,7 @@ def _added(made: Recording, labels: Sequence[str], positions: F64) -> Recording:
 
 def _exchanges(made: Recording) -> Iterator[Mutation]:
     at = {label: i for i, label in enumerate(made.labels)}
-    sides = {}
+    sides: dict[int, str] = {}
     for label, i in at.items():
         other = _mirror(label)
         if other in at and label < other:

@@ -104,6 +104,11 @@ def _apart(a: F64, b: F64) -> F64:
     return np.asarray(np.sqrt(((a - b) ** 2).sum(axis=0)))
 
 
+def _times(a: float, b: float) -> str:
+    """Return the ratio of two distances in words."""
+    return f"{a / b:.2f} times" if b > 0 else "many times"
+
+
 def _sides(places: Mapping[str, F64], called: Mapping[str, str], leg: float) -> Iterator[str]:
     """Yield a clause for each landmark that is nearer to the other side, or not as far from its neighbour as there."""
     for part, inner in ((part, inner) for part, nearer in _CHAIN.items() for inner in nearer):
@@ -122,7 +127,7 @@ def _sides(places: Mapping[str, F64], called: Mapping[str, str], leg: float) -> 
         first, second = map(median_of, own)
         if part not in _BENDING and abs(first - second) > _tolerance(part, (first + second) / 2, leg):
             yield (
-                f"{called[f'l{part}']} and {called[f'l{inner}']} are {first / second:.2f} times as far apart as "
+                f"{called[f'l{part}']} and {called[f'l{inner}']} are {_times(first, second)} as far apart as "
                 f"{called[f'r{part}']} and {called[f'r{inner}']}"
             )
 
@@ -163,7 +168,7 @@ def _middles(places: Mapping[str, F64], called: Mapping[str, str], leg: float) -
         across = [median_of(_apart(places[f"{a}asis"], places[f"{b}psis"])) for a, b in ("lr", "rl")]
         if abs(across[0] - across[1]) > _UNEVEN * leg:
             yield (
-                f"{called['lasis']} and {called['rpsis']} are {across[0] / across[1]:.2f} times as far apart as "
+                f"{called['lasis']} and {called['rpsis']} are {_times(*across)} as far apart as "
                 f"{called['rasis']} and {called['lpsis']}"
             )
     for part, sides in _MIDDLE.items():
@@ -173,7 +178,7 @@ def _middles(places: Mapping[str, F64], called: Mapping[str, str], leg: float) -
         to_left, to_right = (median_of(_apart(places[part], places[f"{one}{side}"])) for one in SIDES)
         if abs(to_left - to_right) > _UNEVEN_MIDDLE * leg:
             yield (
-                f"{called[part]} is {to_left / to_right:.2f} times as far from {called[f'l{side}']} as from "
+                f"{called[part]} is {_times(to_left, to_right)} as far from {called[f'l{side}']} as from "
                 f"{called[f'r{side}']}"
             )
 

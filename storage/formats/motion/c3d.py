@@ -37,7 +37,7 @@ F64 = npt.NDArray[np.float64]
 
 _BLOCK_NUMBERS = 4_000_000  # numbers of the frames decoded at once: some 50 MB
 _UNITS_M = {
-    "m": 1.0, "dm": 0.1, "cm": 0.01, "mm": 0.001, "in": 0.0254, "ft": 0.3048, "meters": 1.0, "metres": 1.0,
+    "m": 1.0, "cm": 0.01, "mm": 0.001, "in": 0.0254, "dm": 0.1, "ft": 0.3048, "meters": 1.0, "metres": 1.0,
     "decimeters": 0.1, "decimetres": 0.1, "centimeters": 0.01, "centimetres": 0.01, "millimeters": 0.001,
     "millimetres": 0.001, "inches": 0.0254, "feet": 0.3048,
 }  # fmt: skip

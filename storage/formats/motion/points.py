@@ -42,7 +42,7 @@ Mask = npt.NDArray[np.bool_]
 
 _BLOCK_FRAMES = 16_384  # frames at once: some 10 MB of joints
 _COMPARED = 500  # frames in which a joint is compared with where other points would place it
-_BESIDE_M = 0.015  # a smaller distance from there is within the tolerance of 2 cm
+_BESIDE_M = 0.02  # distance from there that is warned of
 _SPINE = ("chest", "neck", "belly", "head")  # the first known one gives the root's up direction
 
 
@@ -82,11 +82,10 @@ class Points:
 
     def seen(self) -> Self:
         """Return the points that are present in any frame; one that never is would only shift the others' indices."""
-        there = np.isfinite(self.positions).any(axis=(1, 2))
-        if there.all():
+        there = np.flatnonzero(np.isfinite(self.positions).any(axis=(1, 2)))
+        if len(there) == len(self.positions):
             return self
-        names = tuple(name for name, present in zip(self.names, there, strict=True) if present)
-        return replace(self, names=names, positions=self.positions[there])
+        return replace(self, names=tuple(self.names[i] for i in there), positions=self.positions[there])
 
 
 def points_bytes(frames: int, points: int, joints: int) -> int:
@@ -229,7 +228,7 @@ def _replaced(points: Points, fit: Fit, positions: F64, joints: tuple[str, ...],
             there = lost & ~np.isnan(_other_points(points, fit, positions, joints, other)).any(axis=(0, 1))
             away = _moved(points, fit, positions, joints, joint, other, seen, unit_m)
             if there.any() and away > _BESIDE_M:
-                frames, far = frames + np.count_nonzero(there), max(far, away)
+                frames, far = frames + int(np.count_nonzero(there)), max(far, away)
             lost &= ~there
         if frames:
             found.append(f"{joint} in {frames} frames (by {100 * far:.0f} cm)")
