@@ -31,11 +31,19 @@ from kinedex.ops.errors import ConflictError, KinedexError
 from kinedex.ops.local_paths import refuse_addresses
 from kinedex.pipelines.engine.display import no_progress
 from kinedex.pipelines.export.clip_batches import Done
-from kinedex.pipelines.export.data_set_folder import DATA_SET, METADATA, WrittenFile, require_own, written_by
 from kinedex.pipelines.export.data_set_record import Facts, data_set_text, metadata_rows, metadata_text, split_facts
 from kinedex.pipelines.export.export_plan import Plan, estimated_bytes, plan_clips
-from kinedex.pipelines.export.request import CLIPS, FILE_FORMATS, SPLITS, ClipOptions, IntervalSource
+from kinedex.pipelines.export.request import FILE_FORMATS, ClipOptions, IntervalSource
 from kinedex.storage.duckdb_sql import quote
+from kinedex.storage.formats.data_set_folder import (
+    CLIPS,
+    DATA_SET,
+    METADATA,
+    SPLITS,
+    WrittenFile,
+    require_own,
+    written_by,
+)
 from kinedex.storage.store.store import Store
 
 Row = dict[str, Any]

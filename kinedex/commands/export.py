@@ -220,8 +220,8 @@ def _export_data_set(
     from kinedex.console.terminal import Terminal
     from kinedex.pipelines.engine.executors import make_executor
     from kinedex.pipelines.export.data_set import export_data_set, summary_lines
-    from kinedex.pipelines.export.data_set_folder import DATA_SET, METADATA
     from kinedex.pipelines.export.data_set_record import split_facts
+    from kinedex.storage.formats.data_set_folder import DATA_SET, METADATA
 
     executor = make_executor("processes", workers)
     try:

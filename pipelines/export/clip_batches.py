@@ -23,9 +23,9 @@ from kinedex.ops.body.facing_direction import (
 from kinedex.ops.body.resample import covered_frames, resample
 from kinedex.ops.errors import KinedexError, ParameterError
 from kinedex.pipelines.export.clips import Clip
-from kinedex.pipelines.export.data_set_folder import WrittenFile, sha256_of
 from kinedex.pipelines.export.request import FILE_FORMATS, ClipOptions
 from kinedex.storage.durable_files import whole_file
+from kinedex.storage.formats.data_set_folder import WrittenFile, sha256_of
 from kinedex.storage.formats.motion.joint_motion import JointMotion
 from kinedex.storage.snapshot.frames import read_takes, words_of
 from kinedex.storage.snapshot.parts import joint_positions

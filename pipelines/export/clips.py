@@ -13,8 +13,9 @@ from kinedex.ops.errors import KinedexError, did_you_mean
 from kinedex.ops.evaluation.group_split import split_groups
 from kinedex.ops.intervals import in_seconds, nearest_frame, shown_seconds
 from kinedex.ops.wording import counted
-from kinedex.pipelines.export.request import CLIPS, ClipOptions
+from kinedex.pipelines.export.request import ClipOptions
 from kinedex.pipelines.export.selected_intervals import SelectedInterval
+from kinedex.storage.formats.data_set_folder import CLIPS
 from kinedex.storage.formats.labels.formats import file_names
 from kinedex.storage.store.store import Store
 

@@ -13,11 +13,11 @@ from kinedex.pipelines.engine.display import Progress
 from kinedex.pipelines.engine.executors import Executor
 from kinedex.pipelines.export.clip_batches import Batch, Done, Job, batches_of_jobs, write_batch, write_files
 from kinedex.pipelines.export.clips import Clip
-from kinedex.pipelines.export.data_set_folder import DataSetFolder, WrittenFile
 from kinedex.pipelines.export.data_set_record import Facts, data_set_text, metadata_rows, metadata_text, split_facts
 from kinedex.pipelines.export.export_plan import jobs_of, needed_mappings, plan_clips
 from kinedex.pipelines.export.request import ClipOptions, IntervalSource, format_named
 from kinedex.pipelines.export.selected_intervals import SelectedInterval
+from kinedex.storage.formats.data_set_folder import DataSetFolder, WrittenFile
 from kinedex.storage.store.store import Store
 
 

@@ -13,9 +13,9 @@ from typing import Any
 
 from kinedex.ops.intervals import in_seconds
 from kinedex.pipelines.export.clip_batches import Done, frames_at, source_frames
-from kinedex.pipelines.export.data_set_folder import FORMAT
-from kinedex.pipelines.export.request import CLIPS, FILE_FORMATS, ClipOptions, IntervalSource
+from kinedex.pipelines.export.request import FILE_FORMATS, ClipOptions, IntervalSource
 from kinedex.storage.formats.csv_tables import csv_line
+from kinedex.storage.formats.data_set_folder import CLIPS, FORMAT
 from kinedex.storage.snapshot.manifest import kinedex_version, running_command
 from kinedex.storage.store.store import Store
 

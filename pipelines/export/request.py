@@ -10,6 +10,7 @@ from pkgutil import resolve_name
 from typing import TYPE_CHECKING, Literal
 
 from kinedex.ops.errors import KinedexError, ParameterError, did_you_mean
+from kinedex.storage.formats.data_set_folder import CLIPS, SPLITS
 
 if TYPE_CHECKING:
     from kinedex.storage.formats.motion.channel_cuts import SourceCut
@@ -18,12 +19,6 @@ if TYPE_CHECKING:
 _MOTION = "kinedex.storage.formats.motion"
 
 Kind = Literal["takes", "annotations", "labels", "hits", "ranges", "sql"]
-SPLITS = ("train", "val", "test")
-"""The names of splits, in the order of `ClipOptions.shares`, which are also names of folders."""
-
-CLIPS = "clips"
-"""The folder of clips if there is no split."""
-
 SHARES = (0.8, 0.1, 0.1)
 FORBID = {"extra": "forbid", "strict": True}
 """Settings of pydantic for requests from the explorer: unknown fields and values of other types are errors."""

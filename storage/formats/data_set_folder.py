@@ -11,14 +11,17 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import IO, Any
 
-from filelock import FileLock, Timeout
-
 from kinedex.ops.errors import KinedexError
-from kinedex.pipelines.export.request import CLIPS, SPLITS
 from kinedex.storage.durable_files import TEMPORARY, whole_file
 
 DATA_SET, METADATA = "dataset.json", "metadata.csv"
 FORMAT = "kinedex data set 1"
+
+SPLITS = ("train", "val", "test")
+"""The names of splits, in the order of their shares, which are also names of folders."""
+
+CLIPS = "clips"
+"""The folder of clips if there is no split."""
 
 _JOURNAL, _LOCK = ".kinedex-export.jsonl", ".kinedex-export.lock"
 _OWN = {DATA_SET, METADATA, _JOURNAL, _LOCK}
@@ -63,12 +66,16 @@ class DataSetFolder:
     """
 
     def __init__(self, path: Path) -> None:
+        from filelock import FileLock  # imported here, since most commands export nothing
+
         self.path = path
         self._journal: IO[str] | None = None
         self._lock = FileLock(path / _LOCK, blocking=False)
         self.known: dict[str, WrittenFile] = {}
 
     def __enter__(self) -> DataSetFolder:
+        from filelock import Timeout
+
         require_own(self.path)
         try:
             self.path.mkdir(parents=True, exist_ok=True)
