@@ -12,6 +12,7 @@ import re
 from collections.abc import Sequence
 
 _MAX_NAMES = 8
+_MAX_RANGES = 8
 
 _ODD = (
     "\x00-\x1f\x7f-\x9f"  # C0 and C1 control characters
@@ -26,6 +27,19 @@ _SHORT = {"\n": "\\n", "\r": "\\r", "\t": "\\t"}
 def name_list(names: Sequence[str]) -> str:
     """Join names with commas; of more than eight, only the first eight, and the number of the others."""
     return ", ".join(names[:_MAX_NAMES]) + (f" and {len(names) - _MAX_NAMES} more" if len(names) > _MAX_NAMES else "")
+
+
+def listed_frames(frames: Sequence[int]) -> str:
+    """Format ascending frames as ranges such as "3, 7–12"; only the first ones if there are many."""
+    ranges: list[list[int]] = []
+    for t in frames:
+        if ranges and ranges[-1][1] == t - 1:
+            ranges[-1][1] = t
+        else:
+            ranges.append([t, t])
+    texts = [str(first) if first == last else f"{first}–{last}" for first, last in ranges[:_MAX_RANGES]]
+    more = f" and {len(ranges) - _MAX_RANGES} more ranges" if len(ranges) > _MAX_RANGES else ""
+    return ", ".join(texts) + more
 
 
 def two_digits(value: float | None) -> str:

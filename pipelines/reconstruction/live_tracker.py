@@ -15,6 +15,7 @@ from kinedex.catalog.bodies import load_body
 from kinedex.catalog.depth_cameras import DepthCamera, Placement, placement_of
 from kinedex.ops.arrays import F32, F64
 from kinedex.ops.body.joint_tree import JOINTS
+from kinedex.ops.depth.frame_records import FrameRecords
 from kinedex.ops.depth.points import choose_stride
 from kinedex.ops.depth.pose_fit import Form
 from kinedex.ops.depth.size_estimate import LIMITS_M, SECONDS, estimate_size
@@ -32,7 +33,6 @@ from kinedex.pipelines.reconstruction.reconstructed_takes import (
 )
 from kinedex.pipelines.reconstruction.reconstruction_runs import take_bones
 from kinedex.pipelines.reconstruction.recording_tracks import (
-    FrameRecords,
     PersonBones,
     RecordingTrack,
     Scene,

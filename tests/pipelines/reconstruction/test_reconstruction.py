@@ -14,9 +14,9 @@ from typer.testing import CliRunner
 import kinedex
 from kinedex.commands.cli import app
 from kinedex.ops.body.joint_tree import JOINTS
+from kinedex.ops.wording import listed_frames
 from kinedex.ops.words import NO_WORD
 from kinedex.pipelines.engine.runner import Outcome, run_pipeline
-from kinedex.pipelines.reconstruction.recording_tracks import listed_frames
 from kinedex.reports.reconstruction_page import POINTS, packed_points, reconstruction_page
 from kinedex.storage.formats.depth.camera_file import read_camera
 from kinedex.storage.formats.depth.png import read_depth_png, write_depth_png

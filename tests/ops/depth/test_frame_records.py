@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 
 from kinedex.ops.body.joint_tree import JOINTS
+from kinedex.ops.depth.frame_records import FrameRecords
 from kinedex.ops.depth.pose_fit import PoseCost
 from kinedex.ops.depth.tracker import Candidate, FrameResult, Hypothesis
-from kinedex.pipelines.reconstruction.recording_tracks import FrameRecords
 
 
 def made(seed: int, hypothesis: Hypothesis | None) -> FrameResult:
