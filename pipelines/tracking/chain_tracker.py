@@ -8,20 +8,19 @@ from typing import Literal
 import numpy as np
 
 from kinedex.ops.arrays import F64, I64, Bool
-from kinedex.ops.body.kinematic_chain import ChainBody, Poses, forward
+from kinedex.ops.body.kinematic_chain import ChainBody, Poses
 from kinedex.ops.priors.stabilisation import Track
 from kinedex.ops.tracking.contours import Observed
 from kinedex.ops.tracking.first_track import first_track
 from kinedex.ops.tracking.frame_tracker import track_frames
-from kinedex.ops.tracking.observations import MIN_CONFIDENCE, JointPositions, PriorTerms, Rays
-from kinedex.ops.tracking.rays import MIN_DEPTH_M, SIGMA_PX
+from kinedex.ops.tracking.observations import JointPositions, PriorTerms, Rays
+from kinedex.ops.tracking.ray_residuals import ray_residuals
+from kinedex.ops.tracking.rays import SIGMA_PX
 from kinedex.ops.tracking.take_tracker import SCHEDULE, Loss, TakeTrack, track_take, track_take_on_silhouettes
-from kinedex.ops.tracking.trust import SEEN, TRUST_WIDTH, Trust, exchanged_sides, restart, trust
+from kinedex.ops.tracking.trust import SEEN, Trust, exchanged_sides, restart, trust
 
 AGREEING = 0.5
 """The smallest robust weight of a keypoint with which a camera agrees with a track."""
-
-_MEDIAN_OF_GAUSSIAN = 1.1774  # median distance from the centre of a 2D Gaussian, in standard deviations
 
 
 @dataclass(frozen=True)
@@ -128,72 +127,6 @@ class ChainTracker:
 
     def _frame_by_frame(self, first: Poses | None, priors: PriorTerms | None) -> Track:
         return track_frames(self.observed, first, priors, self.settings.sigma_px)
-
-
-def keypoint_sigma(rays: Rays, points: F64) -> float:
-    """Return the standard deviation of keypoints in pixels, from their distances to their triangulated points.
-
-    Parameters
-    ----------
-    rays : Rays
-        Rays of keypoints.
-    points : float64 array (T, P, 3)
-        Their triangulated points in metres; NaN if there is none.
-
-    Returns
-    -------
-    float
-        The median distance divided by that of a 2D Gaussian of deviation 1; at least `SIGMA_PX`.
-    """
-    gaps = points[:, None] - rays.centres[None, :, None]
-    depths = np.einsum("tvpi,tvpi->tvp", gaps, rays.directions)
-    apart = np.linalg.norm(gaps - depths[..., None] * rays.directions, axis=3)
-    used = (rays.confidence >= MIN_CONFIDENCE) & (depths > MIN_DEPTH_M)
-    pixels = (apart / np.where(used, depths, 1.0) * rays.focal_px[None, :, None])[used]
-    return max(SIGMA_PX, float(np.median(pixels)) / _MEDIAN_OF_GAUSSIAN) if len(pixels) else SIGMA_PX
-
-
-@dataclass(frozen=True, eq=False)
-class RayResiduals:
-    """The distances of keypoints from a track in the images.
-
-    Attributes
-    ----------
-    pixels : float64 array (T, V, P)
-        Distance of each point of the body from the ray of its keypoint, in pixels; NaN if it is not seen.
-    weights : float64 array (T, V, P)
-        The robust weight of each, from 0 (excluded) to 1.
-    """
-
-    pixels: F64
-    weights: F64
-
-
-def ray_residuals(observed: Observed, poses: Poses, sigma_px: float) -> RayResiduals:
-    """Return the residuals of the rays of a recording.
-
-    Parameters
-    ----------
-    observed : Observed
-        A recording with rays.
-    poses : Poses
-        The track.
-    sigma_px : float
-        Standard deviation of a keypoint in pixels.
-    """
-    rays, points = observed.observations, observed.points
-    assert isinstance(rays, Rays)
-    assert points is not None
-    positions, turned = forward(observed.body, poses)
-    centres = positions[list(observed.body.chain.centres)].transpose(2, 0, 1)[:, points.nodes]
-    places = centres + np.einsum("tpij,pj->tpi", turned[:, points.nodes], points.offsets)
-    gaps = places[:, None] - rays.centres[None, :, None]
-    depths = np.einsum("tvpi,tvpi->tvp", gaps, rays.directions)
-    apart = np.linalg.norm(gaps - depths[..., None] * rays.directions, axis=3)
-    pixels = apart / np.maximum(depths, MIN_DEPTH_M) * rays.focal_px[None, :, None]
-    seen = rays.confidence >= MIN_CONFIDENCE
-    weights = (1.0 + (pixels / (sigma_px * TRUST_WIDTH)) ** 2) ** -2
-    return RayResiduals(np.where(seen, pixels, np.nan), np.where(seen, weights, 0.0))
 
 
 @dataclass(frozen=True, eq=False)

@@ -21,8 +21,9 @@ from kinedex.ops.errors import KinedexError
 from kinedex.ops.intervals import in_seconds
 from kinedex.ops.priors.allocation import PriorRow
 from kinedex.ops.tracking.observations import Rays
+from kinedex.ops.tracking.ray_residuals import ray_residuals
 from kinedex.pipelines.inertial.limb_error_curves import judged_limbs
-from kinedex.pipelines.tracking.chain_tracker import ChainTracker, frame_figures, ray_residuals
+from kinedex.pipelines.tracking.chain_tracker import ChainTracker, frame_figures
 from kinedex.pipelines.tracking.recorded_takes import Provenance, TruePositions, at_rate, read_truth
 from kinedex.storage.formats.motion.reader import Body
 from kinedex.storage.snapshot.schemas import TRACK_FORMAT, result_schema, result_table

@@ -20,12 +20,13 @@ from kinedex.ops.priors.stabilisation import Settings, Track, stabilise
 from kinedex.ops.tracking.body_estimate import estimate_body, mean_body
 from kinedex.ops.tracking.contours import Observed, Silhouettes
 from kinedex.ops.tracking.observations import JointPositions
+from kinedex.ops.tracking.ray_residuals import keypoint_sigma
 from kinedex.ops.tracking.rays import SIGMA_PX
 from kinedex.ops.tracking.triangulation import triangulate
 from kinedex.ops.tracking.views import camera_view
 from kinedex.ops.wording import counted
 from kinedex.pipelines.ingestion.analysis import analyse
-from kinedex.pipelines.tracking.chain_tracker import ChainTracker, TrackSettings, keypoint_sigma
+from kinedex.pipelines.tracking.chain_tracker import ChainTracker, TrackSettings
 from kinedex.pipelines.tracking.observed_recordings import StoredRecording, stored_recording
 from kinedex.pipelines.tracking.parameters import TrackParameters
 from kinedex.pipelines.tracking.recorded_takes import Provenance, take_positions
