@@ -13,12 +13,12 @@ import polars as pl
 
 from benchmarks.archive import BUILD
 from benchmarks.harness import Figure, seconds, silent, sized
+from kinedex.ops.simulation.imu_sensors import WearOptions
 from kinedex.ops.synth.body import Actor, draw_actor
 from kinedex.ops.synth.performance import perform_take
 from kinedex.ops.synth.solve import columns
 from kinedex.pipelines.engine.runner import run_pipeline
 from kinedex.pipelines.simulation.imu_recordings import RECORDINGS, SENSORS, ImuRequest, simulate_imu
-from kinedex.pipelines.simulation.imu_sensors import WearOptions
 from kinedex.storage.formats.motion.acclaim_writer import Dialect, write_amc, write_asf
 from kinedex.storage.store.store import Store, open_store
 

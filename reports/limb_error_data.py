@@ -14,9 +14,9 @@ from kinedex.catalog.limbs import LIMB_NAMES
 from kinedex.ops.arrays import F64
 from kinedex.ops.inertial.disagreement import TAU_DEG
 from kinedex.ops.inertial.hand_eye import HeadingDrift
+from kinedex.ops.inertial.limb_motion import LimbMotion
 from kinedex.ops.inertial.rotations import conjugate, interpolate, multiply, rotate
 from kinedex.ops.intervals import in_seconds
-from kinedex.pipelines.inertial.limb_motion import LimbMotion
 from kinedex.pipelines.inertial.worn_sensors import Clock, WornSensor, WornTake
 from kinedex.pipelines.tracking.recording_runs import earlier_rows
 from kinedex.reports.embedded_motions import pack

@@ -11,11 +11,11 @@ import numpy.typing as npt
 
 from kinedex.ops.evaluation.metrics import pooled
 from kinedex.ops.inertial.hand_eye import DOUBTFUL
+from kinedex.ops.inertial.limb_motion import LimbMotion
 from kinedex.ops.inertial.limb_orientation import NONE
 from kinedex.ops.inertial.rotations import conjugate, distance_deg, exp, log, multiply, rotate
 from kinedex.ops.inertial.sensor_model import centred_acceleration, seeded_generator
 from kinedex.pipelines.inertial.limb_error_curves import LimbCurve
-from kinedex.pipelines.inertial.limb_motion import LimbMotion
 from kinedex.pipelines.inertial.parameters import CalibrateParameters
 from kinedex.pipelines.inertial.sensor_fits import FitTask, fit_together
 from kinedex.pipelines.inertial.worn_sensors import Clock, stream_of

@@ -13,12 +13,10 @@ from kinedex.catalog.imu_grades import load_grade
 from kinedex.catalog.limbs import WORN
 from kinedex.catalog.skeletons.mappings import load_mappings
 from kinedex.ops.body.joint_tree import JOINTS
+from kinedex.ops.inertial.limb_motion import LimbMotion
 from kinedex.ops.inertial.orientation_filter import estimate_calibrated
 from kinedex.ops.inertial.rotations import interpolate
-from kinedex.pipelines.inertial.limb_motion import LimbMotion, StoredLimbs, take_limbs
-from kinedex.pipelines.inertial.simulated_errors import LimbLabel, inject_errors
-from kinedex.pipelines.inertial.worn_sensors import WornSensor, WornTake
-from kinedex.pipelines.simulation.imu_sensors import (
+from kinedex.ops.simulation.imu_sensors import (
     LimbPiece,
     Piece,
     SampledPiece,
@@ -28,6 +26,9 @@ from kinedex.pipelines.simulation.imu_sensors import (
     take_pieces,
     worn_sensors,
 )
+from kinedex.pipelines.inertial.limb_motion import StoredLimbs, take_limbs
+from kinedex.pipelines.inertial.simulated_errors import LimbLabel, inject_errors
+from kinedex.pipelines.inertial.worn_sensors import WornSensor, WornTake
 from kinedex.pipelines.simulation.synthetic_archive import write_archive
 from kinedex.storage.formats.motion.body_limbs import read_body_limbs
 from kinedex.storage.formats.motion.reader import MotionFile, ReadSettings

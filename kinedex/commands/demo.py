@@ -179,8 +179,8 @@ def run_inertial_demo(demo: Demo) -> Outcome:
     KinedexError
         A stage fails, no take is long enough, or a package of the extra `imu` is missing.
     """
+    from kinedex.ops.simulation.imu_sensors import WearOptions
     from kinedex.pipelines.simulation.imu_recordings import ImuRequest, simulate_imu
-    from kinedex.pipelines.simulation.imu_sensors import WearOptions
 
     for package in ("vqf", "scipy.interpolate"):
         imu_package(package, "the demo of inertial sensors needs")

@@ -132,8 +132,8 @@ def imu(
     and clocks. Pieces of takes shorter than a window are left out. The same command makes the same bytes.
     """
     from kinedex.console.terminal import Terminal
+    from kinedex.ops.simulation.imu_sensors import WearOptions
     from kinedex.pipelines.simulation.imu_recordings import README, ImuRequest, Windowing, simulate_imu
-    from kinedex.pipelines.simulation.imu_sensors import WearOptions
 
     wearing = WearOptions(seed, rate, stand_s=stand, mount=mount)
     request = ImuRequest(tuple(limbs or ()), grade, wearing, form, Windowing(window, step))

@@ -23,10 +23,10 @@ from kinedex.ops.inertial.disagreement import (
     wrong_runs,
 )
 from kinedex.ops.inertial.hand_eye import HeadingDrift
+from kinedex.ops.inertial.limb_motion import LimbMotion
 from kinedex.ops.inertial.limb_orientation import NONE, long_axis
 from kinedex.ops.inertial.rotations import interpolate
 from kinedex.ops.wording import counted
-from kinedex.pipelines.inertial.limb_motion import LimbMotion
 from kinedex.pipelines.inertial.parameters import LimbErrorsParameters
 from kinedex.pipelines.inertial.worn_sensors import Clock, WornSensor, WornTake
 from kinedex.storage.snapshot.row_groups import RowGroups

@@ -12,9 +12,10 @@ import pyarrow as pa
 import pyarrow.compute as pc
 
 from kinedex.catalog.limbs import LIMBS, Limb
-from kinedex.ops.arrays import F64, I64, Bool
+from kinedex.ops.arrays import F64, I64
 from kinedex.ops.body.joint_tree import JOINT_PARENTS
 from kinedex.ops.errors import ParameterError
+from kinedex.ops.inertial.limb_motion import LimbMotion, common_markers
 from kinedex.ops.inertial.limb_orientation import (
     FULL,
     HINGE,
@@ -34,43 +35,6 @@ _TRUNK = {"pelvis": ("root", "lhip", "rhip"), "torso": ("chest", "neck", "lshoul
 
 KIND = "limb_orientations"
 _SUMS = [("take_id", "count"), ("jump", "sum")]
-
-
-@dataclass(frozen=True, eq=False)
-class LimbMotion:
-    """The motion of one limb over time.
-
-    Attributes
-    ----------
-    limb : str
-        Its name.
-    basis : str
-        The source of the orientation: full, hinge or none.
-    times : float64 array (T,)
-        Times from the beginning of the take, in seconds.
-    orientation : float64 array (T, 4)
-        Unit quaternions (w, x, y, z) from the limb's own frame to the world; NaN if unknown.
-    position : float64 array (T, 3)
-        The midpoint of its two joints in metres, Y up; NaN if unknown.
-    direction : float64 array (T, 3)
-        Unit vectors from the proximal to the distal joint; NaN if unknown.
-    valid : bool array (T,)
-        The frames with an orientation, or with a direction if the basis is none.
-    jump : bool array (T,)
-        The frames in which the limb turns faster than a person can.
-    fit_m : float64 array (T,) or None
-        Root mean square distance of the markers from their rigid shape, in metres; None without markers.
-    """
-
-    limb: str
-    basis: str
-    times: F64
-    orientation: F64
-    position: F64
-    direction: F64
-    valid: Bool
-    jump: Bool
-    fit_m: F64 | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -169,18 +133,6 @@ def _missing(limb: Limb, positions: dict[str, F64], estimated: Sequence[str]) ->
         if joint in estimated:
             return f"{joint} is estimated, and no node turns with the limb"
     return ""
-
-
-def common_markers(markers: F64) -> F64:
-    """Return the markers (T, M, 3) without rarely seen ones, so that at least one frame has all remaining markers.
-
-    At least three markers are kept.
-    """
-    seen = np.logical_and.reduce(np.isfinite(markers), axis=2)
-    kept = list(range(markers.shape[1]))
-    while len(kept) > 3 and not seen[:, kept].all(axis=1).any():
-        kept.remove(min(kept, key=lambda place: (int(seen[:, place].sum()), -place)))
-    return np.ascontiguousarray(markers[:, kept])
 
 
 @dataclass(frozen=True, eq=False)

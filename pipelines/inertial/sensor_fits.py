@@ -13,9 +13,9 @@ from kinedex.ops.arrays import F64
 from kinedex.ops.errors import KinedexError, ParameterError, did_you_mean
 from kinedex.ops.inertial.disagreement import mount_direction
 from kinedex.ops.inertial.hand_eye import Options, Stream, StreamFit, calibrate
+from kinedex.ops.inertial.limb_motion import LimbMotion
 from kinedex.ops.inertial.limb_orientation import NONE
 from kinedex.pipelines.engine.digests import hash_of
-from kinedex.pipelines.inertial.limb_motion import LimbMotion
 from kinedex.pipelines.inertial.parameters import CalibrationSettings
 from kinedex.pipelines.inertial.worn_sensors import Clock, WornSensor, WornTake, WornTakes, stream_of
 from kinedex.storage.snapshot.schemas import result_schema

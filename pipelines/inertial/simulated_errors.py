@@ -12,11 +12,12 @@ import numpy as np
 
 from kinedex.catalog.limbs import LIMBS
 from kinedex.ops.inertial.injected_errors import annotate, as_other_side, inject, labelled_runs, own_threshold
+from kinedex.ops.inertial.limb_motion import LimbMotion
 from kinedex.ops.inertial.limb_orientation import NONE, jumps, long_axis
 from kinedex.ops.inertial.rotations import distance_deg, exp, multiply, rotate
 from kinedex.ops.inertial.sensor_model import seeded_generator, smooth_noise
 from kinedex.pipelines.engine.digests import hash_of
-from kinedex.pipelines.inertial.limb_motion import LimbMotion, StoredLimbs
+from kinedex.pipelines.inertial.limb_motion import StoredLimbs
 from kinedex.storage.durable_files import whole_file
 from kinedex.storage.formats.csv_tables import csv_line, unguarded
 

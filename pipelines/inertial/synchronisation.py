@@ -8,10 +8,10 @@ from typing import Any
 import numpy as np
 
 from kinedex.ops.inertial.hand_eye import Options, Stream, StreamFit, calibrate
+from kinedex.ops.inertial.limb_motion import LimbMotion
 from kinedex.ops.inertial.rotations import angular_speed, conjugate, multiply
 from kinedex.ops.inertial.time_offset import FineSearch, Speeds, find_drift, find_offset, refine_offset, sensor_speed
 from kinedex.ops.inertial.whitened_offset import whitened_offset
-from kinedex.pipelines.inertial.limb_motion import LimbMotion
 from kinedex.pipelines.inertial.parameters import SynchroniseParameters
 from kinedex.pipelines.inertial.worn_sensors import Clock, WornSensor, WornTake, stream_of
 

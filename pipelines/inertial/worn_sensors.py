@@ -13,11 +13,12 @@ import pyarrow.compute as pc
 from kinedex.ops.arrays import F64
 from kinedex.ops.errors import StoreError
 from kinedex.ops.inertial.hand_eye import Stream
+from kinedex.ops.inertial.limb_motion import LimbMotion
 from kinedex.ops.inertial.rotations import interpolate
 from kinedex.ops.wording import counted
 from kinedex.pipelines.engine.context import StageContext
 from kinedex.pipelines.engine.digests import hash_of
-from kinedex.pipelines.inertial.limb_motion import LimbMotion, limbs_of_rows, struct_rows
+from kinedex.pipelines.inertial.limb_motion import limbs_of_rows, struct_rows
 from kinedex.storage.snapshot.manifest import ResultPart
 from kinedex.storage.snapshot.row_groups import RowGroups
 from kinedex.storage.snapshot.schemas import result_table

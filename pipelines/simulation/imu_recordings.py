@@ -15,12 +15,8 @@ from kinedex.catalog.imu_grades import load_grade
 from kinedex.catalog.limbs import chosen_limbs
 from kinedex.ops.arrays import F64
 from kinedex.ops.errors import KinedexError, ParameterError
-from kinedex.ops.wording import counted
-from kinedex.pipelines.engine.display import Progress
-from kinedex.pipelines.inertial.limb_motion import LimbMotion, stored_limbs
-from kinedex.pipelines.inertial.source_limbs import limb_tasks, read_limbs, with_stored_body
-from kinedex.pipelines.simulation.imu_files import CLOCKLESS, WRITERS, readme
-from kinedex.pipelines.simulation.imu_sensors import (
+from kinedex.ops.inertial.limb_motion import LimbMotion
+from kinedex.ops.simulation.imu_sensors import (
     MIN_SECONDS,
     SampledPiece,
     TakeSensors,
@@ -29,8 +25,13 @@ from kinedex.pipelines.simulation.imu_sensors import (
     take_pieces,
     worn_sensors,
 )
+from kinedex.ops.wording import counted
+from kinedex.pipelines.engine.display import Progress
+from kinedex.pipelines.inertial.limb_motion import stored_limbs
+from kinedex.pipelines.inertial.source_limbs import limb_tasks, read_limbs, with_stored_body
 from kinedex.pipelines.simulation.recording_folder import chosen_takes, new_folder, recording_names, require_new
 from kinedex.storage.formats.csv_tables import csv_line
+from kinedex.storage.formats.imu.simulated_files import CLOCKLESS, WRITERS, readme
 from kinedex.storage.store.store import Store
 
 MIN_SHARE = 0.5

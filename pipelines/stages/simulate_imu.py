@@ -9,6 +9,7 @@ from typing import ClassVar
 
 from kinedex.catalog.configs import config_path
 from kinedex.ops.errors import KinedexError
+from kinedex.ops.simulation.imu_sensors import WearOptions
 from kinedex.ops.wording import counted
 from kinedex.pipelines.engine.context import StageContext
 from kinedex.pipelines.engine.digests import Reading, files_digest, hash_of
@@ -16,7 +17,6 @@ from kinedex.pipelines.engine.stage import Input, Stage
 from kinedex.pipelines.inertial.parameters import SimulateImuParameters
 from kinedex.pipelines.inertial.source_limbs import reading_digest
 from kinedex.pipelines.simulation.imu_recordings import ImuRequest, Windowing, actors_of, simulate_stored, take_segments
-from kinedex.pipelines.simulation.imu_sensors import WearOptions
 from kinedex.pipelines.simulation.recording_folder import new_folder
 from kinedex.storage.store.store import Store
 

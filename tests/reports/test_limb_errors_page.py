@@ -10,9 +10,10 @@ import numpy as np
 import pyarrow as pa
 import pytest
 
+from kinedex.ops.inertial.limb_motion import LimbMotion
 from kinedex.ops.inertial.rotations import Z_TO_Y
 from kinedex.pipelines.engine.config import load_pipeline
-from kinedex.pipelines.inertial.limb_motion import LimbMotion, limb_table, struct_array
+from kinedex.pipelines.inertial.limb_motion import limb_table, struct_array
 from kinedex.pipelines.stages.ingest import Ingest
 from kinedex.reports.limb_error_figures import agreement_chart, box, curve_path, drift_curve, error_top, mapping_curves
 from kinedex.reports.stages.report_limb_errors import ReportLimbErrors

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
+from kinedex.ops.inertial.limb_motion import LimbMotion
 from kinedex.ops.inertial.rotations import exp
 from kinedex.pipelines.inertial.limb_error_curves import take_errors
-from kinedex.pipelines.inertial.limb_motion import LimbMotion
 from kinedex.pipelines.inertial.parameters import LimbErrorsParameters
 from kinedex.pipelines.inertial.worn_sensors import Clock, WornSensor, WornTake
 

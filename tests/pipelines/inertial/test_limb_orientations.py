@@ -12,8 +12,9 @@ import pytest
 from kinedex.catalog.features import load_feature_set
 from kinedex.catalog.limbs import LIMB_NAMES
 from kinedex.ops.errors import KinedexError
+from kinedex.ops.inertial.limb_motion import common_markers
 from kinedex.ops.inertial.rotations import distance_deg
-from kinedex.pipelines.inertial.limb_motion import TakeLimbs, common_markers, stored_limbs, take_limbs
+from kinedex.pipelines.inertial.limb_motion import TakeLimbs, stored_limbs, take_limbs
 from kinedex.pipelines.inertial.source_limbs import LimbTask, limb_tasks, read_limbs
 from kinedex.pipelines.stages import limb_orientations as stage_module
 from kinedex.pipelines.stages.ingest import Ingest

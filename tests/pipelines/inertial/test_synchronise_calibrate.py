@@ -17,9 +17,10 @@ from rich.console import Console
 from kinedex.console.terminal import Terminal
 from kinedex.ops.errors import KinedexError
 from kinedex.ops.inertial import rotations as r
+from kinedex.ops.inertial.limb_motion import LimbMotion
 from kinedex.ops.inertial.rotations import Z_TO_Y
 from kinedex.pipelines.engine.context import StageContext
-from kinedex.pipelines.inertial.limb_motion import LimbMotion, limb_table, stored_limbs, struct_array
+from kinedex.pipelines.inertial.limb_motion import limb_table, stored_limbs, struct_array
 from kinedex.pipelines.inertial.worn_sensors import WornTakes
 from kinedex.pipelines.stages.calibrate_sensors import CalibrateSensors
 from kinedex.pipelines.stages.ingest import Ingest

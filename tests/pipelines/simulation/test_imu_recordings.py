@@ -16,9 +16,11 @@ from typer.testing import CliRunner
 
 from kinedex.catalog.sensorsets import load_sensor_set
 from kinedex.commands.cli import app
+from kinedex.ops.inertial.limb_motion import LimbMotion
 from kinedex.ops.inertial.orientation_filter import estimate
 from kinedex.ops.inertial.rotations import conjugate, distance_deg, interpolate, multiply
-from kinedex.pipelines.inertial.limb_motion import LimbMotion, stored_limbs
+from kinedex.ops.simulation.imu_sensors import take_pieces
+from kinedex.pipelines.inertial.limb_motion import stored_limbs
 from kinedex.pipelines.simulation.imu_recordings import (
     ClassTime,
     ImuRequest,
@@ -28,7 +30,6 @@ from kinedex.pipelines.simulation.imu_recordings import (
     window_rows,
     write_data_set,
 )
-from kinedex.pipelines.simulation.imu_sensors import take_pieces
 from kinedex.pipelines.stages.index import Index
 from kinedex.pipelines.stages.ingest import Ingest
 from kinedex.pipelines.stages.limb_orientations import LimbOrientations

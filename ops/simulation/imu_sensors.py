@@ -1,4 +1,7 @@
-"""Simulate sensors on the limbs of a take: divide it into pieces, draw mounts and clocks, compute readings."""
+"""This module simulates sensors worn on limbs: it divides a take into pieces, draws mounts and clocks, and samples.
+
+Each piece is a part of the take in which all limbs are known and nothing jumps.
+"""
 
 from __future__ import annotations
 
@@ -9,6 +12,7 @@ import numpy as np
 
 from kinedex.ops.arrays import F64, Bool
 from kinedex.ops.errors import ParameterError
+from kinedex.ops.inertial.limb_motion import LimbMotion
 from kinedex.ops.inertial.limb_orientation import NONE
 from kinedex.ops.inertial.rotations import interpolate
 from kinedex.ops.inertial.sensor_model import (
@@ -25,7 +29,6 @@ from kinedex.ops.inertial.sensor_model import (
     sensor_motion,
     world_rotation,
 )
-from kinedex.pipelines.inertial.limb_motion import LimbMotion
 
 MIN_SECONDS = 2.0
 """The smallest length of a piece in seconds, unless windows are shorter."""

@@ -13,7 +13,7 @@ import pyarrow.parquet as pq
 
 from kinedex.ops.arrays import F64
 from kinedex.ops.inertial.sensor_model import Readings
-from kinedex.pipelines.simulation.imu_sensors import SampledPiece
+from kinedex.ops.simulation.imu_sensors import SampledPiece
 
 _COUNTER_WRAP = 65_536
 
