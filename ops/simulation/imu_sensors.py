@@ -37,7 +37,7 @@ SHORT_GAP_S = 0.1
 """The longest gap, in seconds, over which frames without an orientation are interpolated."""
 
 FASTEST_M_S = 25.0
-"""The speed of a limb, in m/s, above which two clips must have been joined there."""
+"""The speed of a limb, in m/s, above which the frames before and after must be of different clips."""
 
 RANDOM = "random"
 MOUNTS = (RANDOM, "limb")
@@ -104,7 +104,8 @@ def take_pieces(
     wanted : tuple of str
         The limbs that wear sensors.
     named : bool
-        True if the user named them; limbs with a known long axis only are always excluded.
+        True if the user named the limbs, so that a limb which the skeleton lacks is reported. Limbs of which only the
+        long axis is known are excluded and reported in any case.
     least_s : float
         The smallest length of a piece in seconds.
     """

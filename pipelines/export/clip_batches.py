@@ -39,14 +39,14 @@ if TYPE_CHECKING:
 _PAIRS = ("hip", "shoulder")
 
 CLIPS_A_TASK = 50
-"""The approximate number of clips of a task; after a kill, each worker writes at most as many again."""
+"""The approximate number of clips in a task; after an interruption, each worker repeats at most one task."""
 
 
 def clip_motion(frames: pa.Table, clip: Clip, how: ClipOptions, features: FeatureSet, rate_hz: float) -> JointMotion:
     """Return the motion of a clip's joints.
 
     Positions are interpolated between frames; words are those of the nearest frame. The words of a mirrored clip are
-    those of the clip with left and right exchanged; it has none if the feature set does not define the pairs.
+    those of the clip with left and right exchanged; there are none if the feature set has no pairs of features.
 
     Parameters
     ----------
@@ -161,7 +161,7 @@ def source_cut(
 
 
 def source_frames(row: Mapping[str, Any], start: int, stop: int) -> tuple[int, int]:
-    """Return the frames of a take's source for analysis frames [start, stop); the whole source for the whole take."""
+    """Return the range of source frames that analysis frames [start, stop) cover; all of them for a whole take."""
     rates = float(row["source_rate_hz"]), float(row["rate_hz"])
     return covered_frames(start, stop, int(row["source_frames"]), *rates)
 
@@ -244,7 +244,7 @@ def _done(batch: Batch, job: Job, frames: pa.Table | None) -> Done:
     try:
         write_files(batch, job, paths, frames)
     except UnwritableError as fault:
-        # nor could the next file be written
+        # the next file could not be written either
         raise UnwritableError(f"{fault}; mend that, then run the same command again: it goes on where it was") from None
     except KinedexError as fault:
         return Done(job, fault=str(fault))

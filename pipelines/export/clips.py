@@ -64,8 +64,8 @@ class Clip:
 def clips_of(store: Store, intervals: Sequence[SelectedInterval], how: ClipOptions) -> list[Clip]:
     """Return the clips of intervals, without those that are shorter than requested.
 
-    Margins and context end at the ends of the take. Intervals of a class that become equal with their margins make one
-    clip.
+    Margins and context end at the ends of the take. Intervals of one class that are equal after margins are added
+    become one clip.
 
     Parameters
     ----------
@@ -142,7 +142,7 @@ def mirrored_class(name: str, known: Collection[str] = ()) -> str:
             return word
         return other.upper() if word.isupper() else other.capitalize() if word[0].isupper() else other
 
-    # a letter before a word that begins with a capital is a word of its own, as in LFront
+    # L or R before a capitalised word counts as a separate word, as in LFront
     image = _WORD.sub(exchanged, re.sub(r"(?<![A-Z])([LR])(?=[A-Z][a-z])", "\\1\0", name)).replace("\0", "")
     if image == name:
         other = re.sub(r"(?<![A-Z])[LR](?=[a-z])", lambda match: _SIDES[match[0].lower()].upper(), name)
@@ -153,8 +153,8 @@ def mirrored_class(name: str, known: Collection[str] = ()) -> str:
 def with_names(clips: Sequence[Clip], whole: bool) -> list[Clip]:
     """Return clips with unique names of files that are valid on every operating system.
 
-    The name of a whole take is that of the take; the name of an interval is that of its take, its frames and its class;
-    a mirrored clip ends in "_mirrored".
+    A clip of a whole take is named after the take, any other clip after its take, frames and class. The names of
+    mirrored clips end in "_mirrored".
 
     Parameters
     ----------
@@ -235,7 +235,7 @@ def at_most_per_class(clips: Sequence[Clip], how: ClipOptions) -> list[Clip]:
 
 
 def balanced_clips(clips: Sequence[Clip], how: ClipOptions) -> list[Clip]:
-    """Return equally many clips of each class in each split, as many as the rarest class has, by content and seed.
+    """Return, for each split, as many clips of every class as its rarest class has; content and seed decide which.
 
     Raises
     ------

@@ -80,7 +80,7 @@ def export_data_set(
         finished, rest = _finished(target, plan.jobs)
         target.begin(dict.fromkeys(job.clip.folder for job in plan.jobs))
         done = {id(one.job): one for one in finished}
-        jobs = {job.files: job for job in rest}  # workers return copies of them
+        jobs = {job.files: job for job in rest}  # workers return copies of the jobs
         with progress("clips", len(rest)) as bar:
             batches = batches_of_jobs(store, folder, how, plan.mappings, rest)
             for results in executor.map(write_batch, batches):
@@ -155,8 +155,8 @@ def export_take(store: Store, take: str, how: ClipOptions, path: Path) -> list[P
     Raises
     ------
     KinedexError
-        There is no such take, it cannot be written in this format, the request makes a data set, or the file cannot be
-        written.
+        There is no such take, it cannot be written in this format, an option applies to data sets only, or the file
+        cannot be written.
     """
     asked = {
         "mirror": how.mirror, "split": how.split, "balance": how.balance, "per-class": how.per_class,

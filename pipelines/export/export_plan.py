@@ -1,4 +1,4 @@
-"""Plan an export: which clips it will write, from which data, into which files, and of about which size."""
+"""Plan an export: the clips that it will write, with their data, files and estimated sizes."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ SAMPLE = 6
 """The number of clips in a sample, for each kind of source."""
 
 MAX_FRAMES = 20_000
-"""The number of frames at which a sample ends; samples of videos end at a hundredth of it."""
+"""The largest number of frames in a sample of several clips; a sample of videos has at most a hundredth of it."""
 
 
 @dataclass(frozen=True)
@@ -67,8 +67,8 @@ class Plan:
 def plan_clips(store: Store, what: IntervalSource, how: ClipOptions, progress: Progress) -> Plan:
     """Return the plan of an export.
 
-    Intervals are selected; short ones and near-duplicates are excluded; each class is limited to `how.per_class`; the
-    rest is split, and balanced within each split; then mirrored copies are added.
+    Intervals are selected; short ones and near-duplicates are excluded; each class is limited to `how.per_class`. The
+    remaining clips are split, and balanced within each split; then mirrored copies are added.
 
     Parameters
     ----------

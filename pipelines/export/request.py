@@ -198,7 +198,7 @@ class ClipOptions:
     split : str or None
         Column of takes; takes with the same value are in the same split.
     shares : tuple of float
-        Shares of the seconds of training, validation and test; two are training and test.
+        Shares of training, validation and test in the total duration; two values are those of training and test.
     seed : int
         Seed of the choice among equally good splits, and of the clips that are kept for balance.
     balance : bool

@@ -66,7 +66,7 @@ class SelectedInterval:
 
 @dataclass(frozen=True)
 class SelectedIntervals:
-    """The distinct intervals of a request, by take, start, stop and class; and remarks about missing ones."""
+    """The distinct intervals of a request, sorted by take, start, stop and class, with remarks on excluded ones."""
 
     intervals: tuple[SelectedInterval, ...]
     remarks: tuple[str, ...]

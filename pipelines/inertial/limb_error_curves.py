@@ -1,4 +1,4 @@
-"""Compute errors of limbs against their sensors and the runs of wrong frames, and make and read the tables of both."""
+"""Compute the errors of limbs against sensors and the runs of wrong frames; write and read their tables."""
 
 from __future__ import annotations
 
@@ -55,8 +55,8 @@ class LimbCurve:
     times : float64 array (T,)
         Times in the take, in seconds.
     degrees, swing, twist : float64 array (T,)
-        The whole error angle, its swing and its twist, in degrees; NaN if unknown. If only a limb's axis is known,
-        only the swing is.
+        The whole error angle, its swing and its twist, in degrees; NaN if unknown. Only the swing is known if only the
+        axis of the limb is.
     valid : bool array (T,)
         The frames that are evaluated.
     jump : bool array (T,)
@@ -111,17 +111,17 @@ def take_errors(
 ) -> TakeErrors:
     """Compare the limbs of a take with the sensors that were worn on them.
 
-    If a limb has several sensors, it is compared with the one that has the most frames, and in frames that this one
-    lacks with the others, because each recording may cover a part of the take.
+    If a limb has several sensors, it is compared with the sensor that has the most frames. Frames without data of that
+    sensor are compared with the other sensors, because each recording may cover only a part of the take.
 
     Parameters
     ----------
     take : WornTake
         The take.
     clocks : mapping of (int, str) to Clock
-        The clocks of recordings.
+        The clocks of recordings, by take_id and recording.
     calibrations : mapping of (int, str, str) to mapping
-        The calibrations of sensors.
+        The calibrations of sensors, by take_id, recording and sensor.
     params : LimbErrorsParameters
         The threshold and other parameters.
     """

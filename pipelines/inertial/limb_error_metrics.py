@@ -39,9 +39,10 @@ class LimbCounts:
     above : dict
         Scope and annotator → the counts at each threshold.
     between : dict
-        Scope, detector and annotator → the counts of stored runs, or of one annotator, against another.
+        Scope, detector and annotator → the counts of stored runs, or of another annotator's labels, against the labels
+        of the annotator.
     frames, takes : dict
-        Scope and annotator → the number of evaluated frames of limbs, and the ids of takes.
+        Scope, detector and annotator → the number of evaluated frames of limbs, and the ids of takes.
     """
 
     taus: Sequence[float]
@@ -59,7 +60,7 @@ class LimbCounts:
     ) -> None:
         """Count a limb of a take against every annotator who has examined the take.
 
-        Frames that are not valid are first removed from both sides.
+        Frames that are not valid are first removed from detections and labels alike.
 
         Parameters
         ----------

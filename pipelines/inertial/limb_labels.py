@@ -1,4 +1,4 @@
-"""Labels of wrong limbs: those of people, assigned to takes with sensors, and those of a stage, for label files."""
+"""Read people's labels of wrong limbs and assign them to takes; return those of a stage for label files."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ class LimbLabels:
     segments : dict of (str, str, str) to list of ManualSegment
         Annotator, take and limb → the segments.
     looked_at : dict of str to set of str
-        Annotator → the takes that the annotator has examined: all that one of his or her files names.
+        Annotator → the takes that the annotator has examined: those that the annotator's files or labels name.
     remarks : list of str
         Remarks on excluded labels, and on labels that belong to several takes.
     unmatched : tuple of UnmatchedLabels
@@ -68,8 +68,7 @@ def read_limb_labels(store: Store, paths: Iterable[Path]) -> LimbLabels:
     Raises
     ------
     SourceError
-        A file is damaged or of a format without limbs, or a label of the class error names no limb, or one that does
-        not exist.
+        A file is damaged, its format has no place for limbs, or a label of the class `error` names no known limb.
     """
     files: list[LabelFile] = []
     for path in paths:
@@ -219,13 +218,13 @@ def limb_error_stage(store: Store, wanted: str | None = None) -> str:
     store : Store
         The store to read.
     wanted : str, optional
-        "<pipeline>/<stage>", the name of the pipeline, or the id of the run; the stage of the pipeline whose runs the
-        view `limb_error_runs` shows by default.
+        "<pipeline>/<stage>", the name of the pipeline, or the id of the run; by default, the stage of the pipeline that
+        the view `limb_error_runs` shows.
 
     Raises
     ------
     KinedexError
-        No limb was compared with a sensor, none by this stage, or several stages match.
+        No limb was compared with a sensor, or none by this stage, or several stages match.
     """
     stages = sorted({part.stage for part in store.manifest.results.get(ERRORS, ())})
     if not stages:
@@ -262,14 +261,14 @@ def limb_error_labels(
     stage : str
         "<pipeline>/<stage>".
     takes : sequence of str
-        The names of the takes to return; by default all that have sensors.
+        The names of the takes to return; by default all takes that have sensors.
     where : str, optional
         A SQL filter over the columns of takes.
 
     Raises
     ------
     KinedexError
-        A take was not compared with sensors, or the filter selects none that was.
+        A take was not compared with sensors, or the filter selects no take that was compared.
     """
     record = store.manifest.stages.get(stage)
     runs: dict[str, list[Label]] = defaultdict(list)

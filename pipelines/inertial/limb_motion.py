@@ -1,4 +1,4 @@
-"""The motion of a take's limbs: computed from its source, made into rows of limb_orientations, and read from them."""
+"""Compute the motion of a take's limbs from its source; write and read it as rows of `limb_orientations`."""
 
 from __future__ import annotations
 

@@ -110,7 +110,7 @@ class SynchroniseParameters(StageParameters):
 
 
 class CalibrationSettings(StageParameters):
-    """The settings of a calibration; those named by Python keywords are fields of `CalibrateParameters` only."""
+    """The settings of a calibration; `from` and `global`, two keywords of Python, are in `CalibrateParameters`."""
 
     wearing: list[str] = Field(
         ["actor"],

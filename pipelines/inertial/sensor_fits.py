@@ -90,7 +90,7 @@ class FitTask:
     params : CalibrationSettings
         The parameters of the stage.
     given : mapping of str to StreamFit or None
-        The fits of limbs in the take that `from` names.
+        The fits of limbs, by name, in the take that `from` names.
     foreign : bool
         True if the sensors may be mounted differently than in the take that `from` names.
     """
@@ -111,7 +111,7 @@ class FitGroups:
     groups : tuple of (tuple of int)
         The ids of takes in each group; each take is in one group.
     source : int or None
-        The take that `from` names.
+        The id of the take that the parameter `from` names; None if it names none.
     """
 
     groups: tuple[tuple[int, ...], ...]
@@ -119,7 +119,7 @@ class FitGroups:
 
 
 def fit_groups(takes: WornTakes, wearing: Mapping[int, Hashable], params: CalibrationSettings) -> FitGroups:
-    """Return which takes are calibrated together: each take alone, or those between which sensors stayed in place.
+    """Group the takes that are calibrated together: each take alone, or takes between which sensors stayed in place.
 
     Parameters
     ----------
@@ -272,7 +272,7 @@ def _fits(
     params: CalibrationSettings,
     given: Mapping[str, StreamFit] | None = None,
 ) -> list[SensorFit]:
-    """Calibrate sensors together; limbs with a known axis only use the world rotation of the others."""
+    """Calibrate sensors together; a limb of which only the axis is known gets the world rotation of the others."""
     options = _options(worn, params)
     usable = [one for one in worn if one.stream is not None and not one.left_out and one.limb.basis != NONE]
     mounts = {limb: fit.q_mount for limb, fit in (given or {}).items()}
@@ -307,7 +307,7 @@ def _fit(one: _Worn, fit: StreamFit | None, shared: F64 | None) -> SensorFit:
 
 
 def _thinned(streams: Sequence[Stream]) -> list[Stream]:
-    """Return streams with fewer valid frames, if a limb has more of them than a calibration needs."""
+    """Return streams with evenly chosen valid frames, if a limb has more than `MAX_FRAMES` of them."""
     frames: dict[str, int] = {}
     for stream in streams:
         frames[stream.limb] = frames.get(stream.limb, 0) + int(stream.valid.sum())

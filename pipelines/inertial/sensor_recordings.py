@@ -37,9 +37,9 @@ ENDINGS = (".txt", ".csv", ".tsv", ".parquet", ".h5", ".hdf5", ".mvnx")
 """The file extensions of sensor files."""
 
 _LONGEST_BRIDGE_S = 1.0
-_LARGEST_OFFSET = 0.05  # share of the field that the offset of a calibrated magnetometer may have
+_LARGEST_OFFSET = 0.05  # of a calibrated magnetometer, as a fraction of the field
 _MAX_FILLED = 4
-"""The largest number of samples of the even grid per sample of the file; with larger gaps a recording is rejected."""
+"""The largest ratio of samples on a regular time grid to samples in the file; above it, a recording is rejected."""
 
 
 @dataclass(frozen=True)
@@ -129,7 +129,7 @@ def find_recordings(
         The description of the sensors.
     made : mapping of str to sequence of str
         The takes that were made from camera recordings: name of the recording → names of the takes. Sensors in a
-        folder with the name of such a recording belong to all of them.
+        folder with the name of such a recording belong to all of its takes.
 
     Raises
     ------
@@ -173,7 +173,7 @@ def find_recordings(
 def _with_made(
     groups: Mapping[tuple[str, str], list[Path]], made: Mapping[str, Sequence[str]]
 ) -> dict[tuple[str, str], list[Path]]:
-    """Return a dict from (take, name) to files; takes of a camera recording without own folder get its files."""
+    """Return files by take and recording; takes made from a camera recording get its files if they have no folder."""
     own = {take for take, _ in groups}
     found = dict(groups)
     for (take, name), files in groups.items():
@@ -350,8 +350,8 @@ def oriented_sensor(sensor: ImuSensor, source: Literal["file", "estimate"]) -> t
 def estimated_orientations(sensor: ImuSensor) -> tuple[F64, list[str]]:
     """Return orientations estimated from the readings, NaN in gaps, and warnings.
 
-    The filter runs over an even grid at the sensor's rate. Gaps in the readings are interpolated linearly, so that the
-    filter can continue after them; estimates within gaps are discarded.
+    The filter runs on a regular time grid at the sensor's rate. Gaps in the readings are interpolated linearly, so that
+    the filter can continue after them; estimates within gaps are discarded.
     """
     assert sensor.acc is not None
     assert sensor.gyr is not None

@@ -1,4 +1,4 @@
-"""Put simulated errors into the limbs of takes, and keep the label files of these errors and of annotators."""
+"""Put simulated errors into the limbs of takes; write label files of the errors and of simulated annotators."""
 
 from __future__ import annotations
 
@@ -164,7 +164,7 @@ class SimulatedLabels:
         self._labels, self._truth = _read_labels(labels), _read_labels(truth)
 
     def put(self, take: str, labels: Sequence[LimbLabel], truth: Sequence[LimbLabel]) -> None:
-        """Set the labels of a take, by annotators and by the truth."""
+        """Set the labels of a take: those of annotators, and those of the true errors."""
         self._labels[take], self._truth[take] = list(labels), list(truth)
 
     def digest(self, take: str) -> str:

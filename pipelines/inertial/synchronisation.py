@@ -23,7 +23,7 @@ MAX_FRAMES = 15_000
 
 
 MAX_ROUNDS, STILL_S = 4, 1e-4
-"""The largest number of rounds of calibration and fine search, and the change in seconds at which they stop."""
+"""The largest number of repetitions of calibration and fine search, and the change in seconds that ends them."""
 
 
 @dataclass(frozen=True)
@@ -83,10 +83,11 @@ def _limb_speed(limb: LimbMotion) -> tuple[np.ndarray, np.ndarray]:
 def _refined(
     take: WornTake, sensors: list[WornSensor], clock: Clock, params: SynchroniseParameters
 ) -> tuple[Clock, bool]:
-    """Return the clock with the smallest orientation errors, and whether it was refined; the first one if nothing fits.
+    """Return the clock with the smallest orientation errors, and whether the given clock could be refined at all.
 
-    A search on a grid comes close to it, and least squares on whitened errors refine it. A wrong offset impairs the
-    calibration slightly, so both are repeated until the clock hardly changes.
+    The sensors are calibrated with the given clock. A search on a grid finds a better clock, and least squares on
+    whitened errors refine it. Since a wrong clock impairs the calibration, calibration and refinement are repeated
+    until the clock hardly changes.
     """
     for number in range(MAX_ROUNDS):
         before = clock
@@ -114,7 +115,7 @@ def _fine_limbs(take: WornTake, sensors: list[WornSensor], clock: Clock) -> list
 
 
 def _first_fits(streams: list[Stream], magnetometers: bool) -> list[StreamFit]:
-    """Calibrate with a subset of frames, with the vertical known unless that explains clearly fewer frames."""
+    """Calibrate with a subset of frames; the vertical is unknown only if that explains clearly more frames."""
     some = []
     for stream in streams:
         valid = np.flatnonzero(stream.valid)

@@ -1,4 +1,4 @@
-"""The takes of a stage: those in which sensors were worn, with their limbs, and those whose results are reused."""
+"""Read the takes in which sensors were worn, with their limbs, and find the takes whose results are reused."""
 
 from __future__ import annotations
 
@@ -222,7 +222,7 @@ class WornTakes:
 
     @classmethod
     def of(cls, context: StageContext, store: Store) -> WornTakes:
-        """Return those whose limbs, with errors if the pipeline breaks them, and sensors are inputs of a stage."""
+        """Return the takes whose limbs, with simulated errors if there are any, and sensors are inputs of a stage."""
         limbs = context.inputs.get("broken", context.inputs["limbs"])
         return cls(store, context.key(limbs), context.key(context.inputs["sensors"]))
 

@@ -51,11 +51,11 @@ def analyse(body: Body, feature_set: FeatureSet, rate_hz: float) -> tuple[F64, F
     Returns
     -------
     positions : float64 array (J, 3, T)
-                The positions of the joints in metres.
+        The positions of the joints in metres.
     orientation : float64 array (4, T)
         The orientation of the root, as unit quaternions (w, x, y, z).
     words : uint64 array (T,)
-        `NO_WORD` in invalid frames; 0 in the bits of unknown features.
+        The words: `NO_WORD` in invalid frames, with 0 in the bits of unknown features.
     """
     rate = feature_rate(body.rate_hz, rate_hz)
     at_rate = resample(body.positions, body.orientation, body.rate_hz, rate, body.valid)

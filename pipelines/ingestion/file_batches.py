@@ -41,7 +41,7 @@ class Task:
     groups : dict of str to str
         The named groups of its path.
     recipe : str
-        A hash of everything except the file that the take depends on.
+        A hash of everything that the take depends on, except its file.
     warnings : tuple of str
         Warnings about the file.
     person : str or None
@@ -68,7 +68,7 @@ class Task:
 
 @dataclass(frozen=True)
 class Batch:
-    """The files that one task reads and writes as one part of frames, with the columns of figures in the store."""
+    """Motion files that a worker reads and writes as one part of frames; `figures` are the quality columns to fill."""
 
     store: Path
     feature_set: FeatureSet

@@ -116,7 +116,7 @@ def scan_failure(refused: UnreadableFile) -> Failure:
 
 
 def failure_messages(failures: Sequence[Failure]) -> list[str]:
-    """Return messages for the terminal, at most ten and a line for the rest."""
+    """Return messages for the terminal: at most ten, and a line that counts the others."""
     lines = [f"excluded: {one.message}" for one in failures[:MAX_MESSAGES]]
     more = len(failures) - MAX_MESSAGES
     return lines + ([f"… and {more} more: SELECT * FROM ingest_log lists them all"] if more > 0 else [])

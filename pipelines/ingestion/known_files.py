@@ -1,4 +1,4 @@
-"""The files from which a store has takes: their names, checksums and content, to compare a source with them."""
+"""Describe the files from which a store has takes, by name, checksum and content, to compare a source with them."""
 
 from __future__ import annotations
 
@@ -123,7 +123,7 @@ class SkeletonSums:
         Raises
         ------
         SourceError
-        The file cannot be read.
+            The file cannot be read.
         """
         state = (skeleton.root, skeleton.path, skeleton.size, skeleton.mtime_ns)
         if state not in self._found:
@@ -139,7 +139,7 @@ class SkeletonSums:
 
 
 def file_name(row: Mapping[str, Any]) -> str:
-    """Return the name that the file of a take has given it, without that of the person."""
+    """Return the name of a take without the suffix that names the person, if the file has several."""
     person = row.get("person")
     return str(row["name"]).removesuffix(f"-{person}") if person else str(row["name"])
 
@@ -219,7 +219,7 @@ class KnownFile:
         return rows if rows and len(rows) >= (rows[0].get("persons") or 1) else ()
 
     def has_content_of(self, content: FileContent) -> bool:
-        """Return whether a take was read from a file with this content; raise a SourceError if it is unreadable."""
+        """Return whether a take has the content of another file; raise a SourceError if that file cannot be read."""
         return any(self._has_content(row, content) for row in self.rows)
 
     def _has_content(self, row: Row, content: FileContent) -> bool:

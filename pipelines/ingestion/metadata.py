@@ -260,8 +260,9 @@ class Metadata:
         """Match the rows of the tables with takes.
 
         A key is the name of a take; or the path of a file below the source, with or without extension; or the name of a
-        file, with or without extension. A key with * or ? matches several takes. The row of one take takes
-        precedence over a file beside the motion file, and this one over rows with * or ?, of which the last one counts.
+        file, with or without extension. A key with * or ? matches several takes. A row of a single take takes
+        precedence over a YAML file beside the motion file, and such a file over rows with * or ?. If several rows with
+        * or ? match, the last one counts.
 
         Parameters
         ----------
@@ -324,7 +325,7 @@ def _converted(cells: Mapping[str, Cell], declared: Mapping[str, TakeColumn]) ->
 
 
 def _standing(name: str, declared: Mapping[str, TakeColumn]) -> tuple[str, TakeColumn] | None:
-    """Return the table column that a name refers to, ignoring case; None if there is none."""
+    """Return the declared metadata column that a name refers to, ignoring case; None if there is none."""
     columns = ((other, column) for other, column in declared.items() if column.origin == "metadata")
     return next(((other, column) for other, column in columns if other.lower() == name.lower()), None)
 

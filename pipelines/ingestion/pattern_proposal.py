@@ -219,7 +219,7 @@ def _joined(names: list[str], before: int, after: int, separator: str) -> list[s
 
 
 def _alike(sets: Sequence[set[str]]) -> bool:
-    """Return whether sets of values are of one kind: all numbers, or each with half its values in the largest set."""
+    """Return whether all values are numbers, or each set shares half of its values with the largest set."""
     numbers = {all(value.isdecimal() for value in values) for values in sets}
     if numbers == {True}:
         return True

@@ -196,7 +196,7 @@ class ReadPasses:
         return self.params.strict and bool(self.done.failures)
 
     def _read(self, tasks: Sequence[Task]) -> list[tuple[Task, tuple[str, ...]]]:
-        """Read one round, and return the files that contain several persons."""
+        """Read the files of one pass, and return those that contain several persons."""
         workers = self.context.executor.workers
         memory = MemoryShare.of(self.params.max_memory, workers) if self.params.max_memory is not None else None
         several: list[tuple[Task, tuple[str, ...]]] = []

@@ -44,7 +44,7 @@ from kinedex.storage.store.verification import damaged_frames
 from kinedex.storage.store.writer import StoreWriter
 
 KIND = "files whose takes were removed (`kinedex takes readmit` reads them again)"
-"""The description of these files among those that an ingest skips."""
+"""The description of files whose takes were removed, in the list of skipped files."""
 
 
 @dataclass(frozen=True)
@@ -265,7 +265,7 @@ class _Comparison:
 
 
 def recipe_of(made_by: str, skeleton: str, groups: Mapping[str, str] | None = None) -> str:
-    """Return the recipe of a take: a hash of everything except its file that its frames depend on.
+    """Return the recipe of a take: a hash of everything that its frames depend on, except its file.
 
     Parameters
     ----------
@@ -280,7 +280,7 @@ def recipe_of(made_by: str, skeleton: str, groups: Mapping[str, str] | None = No
 
 
 def has_recipe(made_by: str, skeleton: str, row: Mapping[str, Any]) -> bool:
-    """Return whether a take was made with a recipe, the hash of what it depends on; earlier forms count as well."""
+    """Return whether a stored take has the recipe of a format and a skeleton file, in its present or former form."""
     if row["recipe"] == recipe_of(made_by, skeleton):
         return True
     groups = {name: row[name] for name in EVERYWHERE if row[name] is not None} | json.loads(row["groups"] or "{}")
@@ -288,7 +288,7 @@ def has_recipe(made_by: str, skeleton: str, row: Mapping[str, Any]) -> bool:
 
 
 def recipes(feature_set: FeatureSet, mappings: Mappings, settings: ReadSettings) -> dict[str, str]:
-    """Return for each file extension a hash of everything except the files that its takes depend on.
+    """Return, for each file extension, a hash of everything that its takes depend on, except their files.
 
     If the hash changes, takes are read again. The format of an .npz file is known only when it is read, so the settings
     of all readers of an extension count.

@@ -1,7 +1,7 @@
 """Repair a store: find damage, and make everything again that can be made again.
 
 The steps are ordered such that the store can be opened at any moment, and that a repair that was killed continues when
-it is run again: each step begins with the damage that is left then. Manifests come first, then rows of takes, frames,
+it is run again: each step begins with the damage that remains. Manifests come first, then rows of takes, frames,
 results, the index, and the pipelines whose results were removed. Whatever cannot be made again is put into a quarantine
 before the version without it is published.
 """
@@ -60,7 +60,7 @@ class RepairResult:
     failed_runs : list of PendingRun
         The pipelines that could not be run again.
     remaining : list of Finding
-        The damage that is left; empty in a dry run.
+        The damage that remains; empty in a dry run.
     """
 
     store: Path

@@ -153,7 +153,7 @@ class Sources:
         return dict(self._rows[take_id])
 
     def _task(self, row: Mapping[str, Any]) -> tuple[int, Task]:
-        """Return the number of the settings and the task that read a take again; raise a KinedexError if none can."""
+        """Return the index of the ingest settings and the task that reads a take again; raise an error if none can."""
         path = Path(row["source_root"]) / row["source"]
         if row["format"] in RECORDED_FORMATS:
             raise KinedexError(

@@ -1,4 +1,4 @@
-"""Compute the map of the takes of a store, or of windows of them: positions by words, clusters, and their traits."""
+"""Compute the map of a store's takes, or of windows of takes: positions by words, clusters, and their traits."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ class Cluster:
     hours : float
         The duration of its points.
     traits : tuple of Trait
-        The features that distinguish it from the rest.
+        The features that distinguish it from the other points.
     classes : tuple of (str or None, int)
         The classes of its takes with their numbers of takes, the most frequent first; None for takes without a class.
     typical : tuple of int
@@ -217,7 +217,7 @@ def _described(store: Store, points: _Points, layout: Layout) -> tuple[Cluster, 
 
 
 def trait_words(found: tuple[Trait, ...], descriptions: list[str]) -> str:
-    """Describe the features that distinguish a cluster; those that it has less often than the rest are negated.
+    """Describe the features that distinguish a cluster; features that are rarer in it than elsewhere are negated.
 
     Examples
     --------

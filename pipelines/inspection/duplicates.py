@@ -46,8 +46,8 @@ Candidate = tuple[int, int, int, bool]
 def find_duplicates(store: Snapshot, display: Display) -> pa.Table:
     """Find the takes that contain the same file or the same motion as another take.
 
-    Takes with one checksum and the same words are copies of a file. Of each, one take is compared with all others:
-    equal sequences of runs yield alignments (`ops.duplicates.alignments`), and the joint positions decide
+    Takes with one checksum and the same words are copies of a file. Only one take of each file is compared with other
+    takes: equal sequences of runs yield alignments (`ops.duplicates.alignments`), and the joint positions decide
     (`ops.duplicates.same_motion`).
 
     Parameters
@@ -60,9 +60,8 @@ def find_duplicates(store: Snapshot, display: Display) -> pa.Table:
     Returns
     -------
     pyarrow.Table
-        The rows of the view `duplicates`, without `run`: by name of the take, then of the other one. A take has a row
-        for each other take that comes before it in the order of their lengths, the longest first, then of their names;
-        so one take of each group has no row.
+        The rows of the view `duplicates`, without `run`: sorted by both names. A row refers a take to a longer take
+        with the same motion, or to one of the same length whose name comes first; so one take of a group has no row.
     """
     rows, kept = _same_files(store)
     rows += _same_motions(store, kept, display.progress)
@@ -244,7 +243,7 @@ class _Poses:
 
     @staticmethod
     def _turned_by(joints: list[str], positions: F32) -> Iterator[list[int]]:
-        """Yield the sets of joints by which poses can be turned."""
+        """Yield the indices of joints that define a direction in at least one frame, those of the pelvis first."""
         for names in _FRAMES:
             if all(name in joints for name in names):
                 found = [joints.index(name) for name in names]

@@ -25,10 +25,13 @@ POLL_S = 0.004
 """Seconds between two checks of the folder for new files."""
 
 PATIENCE_S = 0.5
-"""Seconds for which an unreadable file must be unchanged to count as damaged; before, it may still be being written."""
+"""Seconds for which an unreadable file must stay unchanged to count as damaged; until then it may be incomplete."""
 
 MAX_STEP, STEPS, MAX_JUMP = 5, 3, 100_000
-"""Limits for frame numbers in file names: step and number of steps above which they count no frames; largest gap."""
+"""Limits of the steps between frame numbers in file names.
+
+The numbers do not count frames if the last `STEPS` steps all exceed `MAX_STEP`, or the last one exceeds `MAX_JUMP`.
+"""
 
 
 @dataclass(frozen=True, eq=False)
@@ -95,8 +98,8 @@ def follow_folder(
 ) -> Iterator[FollowedFrame]:
     """Yield the frames of a folder by ascending numbers, first the existing ones and then new ones as they appear.
 
-    A file without a number in its name, or with a number not above that of the file before, is skipped; the first of
-    either kind is reported.
+    A file without a number in its name, or with a number not above that of the file before, is skipped; the first
+    file of each kind is reported.
 
     Parameters
     ----------

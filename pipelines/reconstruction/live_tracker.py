@@ -157,7 +157,9 @@ class LiveTracker:
         self._coarse = coarse_camera(self.camera, self.background, self.placement)
         self._tracker: Reconstructor | None = None
         self._scene: Scene | None = None
-        self._measured: list[F32 | None] | None = None  # the frames from which the size is estimated, if it is
+        self._measured: list[F32 | None] | None = (
+            None  # the frames from which the size is estimated; None for a given size
+        )
         self._frames = self._first = 0  # numbers of frames so far, and before the first person
 
     @classmethod

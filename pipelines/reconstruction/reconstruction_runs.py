@@ -1,4 +1,4 @@
-"""Reconstruct depth recordings; each take is committed when done, unchanged recordings are skipped."""
+"""Reconstruct depth recordings; commit each take when it is done, and skip unchanged recordings."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Track a depth recording frame by frame, in packed records, and remark on doubtful frames."""
+"""Track a depth recording frame by frame, and remark on doubtful frames."""
 
 from __future__ import annotations
 
@@ -52,7 +52,7 @@ NEAR_BORDER_PX = 1
 """The distance, in pixels, of a body from the image border up to which it counts as cut off."""
 
 LYING_SHARE = 0.4
-"""A person lies or crouches if the joints are within a layer less high than this share of the standing height."""
+"""The fraction of the standing height below which the vertical extent of the joints means lying or crouching."""
 
 TURNED_DEGREES = 45.0
 """The angle, in degrees, between facing direction and camera above which a person counts as turned away."""

@@ -1,10 +1,9 @@
 """Build the pose database of a store from the frames of takes, update it, and read it.
 
-Poses are thinned in order of take name and frame, so that the earlier ones determine whether a pose is kept. Each frame
-is represented by a near pose: the frame is dropped as long as that pose is kept. A kept pose remains kept unless a pose
-that is new in the database precedes it and is near. Therefore the frames of an unchanged take are read again only if a
-pose that represents one of them is gone, or if one of its own poses is near a new one; the result equals that of a
-complete build.
+Poses are thinned in order of take name and frame: a pose is dropped if an earlier pose that was kept is near, and that
+pose then represents its frame. When the database is updated, a kept pose remains unless a new pose that precedes it is
+near. Therefore the frames of an unchanged take are read again only if a pose that represents one of its frames is gone,
+or if one of its kept poses is near a new pose. The result equals that of a complete build.
 """
 
 from __future__ import annotations
@@ -248,7 +247,7 @@ def _frames(store: Store, takes: Sequence[TakePoses]) -> Iterator[tuple[TakePose
 
 
 class _Build:
-    """One build in progress: the poses kept so far, those of them not in the earlier database, and the new numbers."""
+    """A build in progress, with the poses kept so far, those of them that are new, and new numbers of former poses."""
 
     def __init__(
         self, store: Store, kept: PoseThinning, fresh: PoseThinning, before: Mapping[str, TakePoses], same: set[str]

@@ -42,7 +42,7 @@ RECORDINGS = "recordings"
 
 README, DATASET, SENSORS = "README.md", "dataset.yaml", "sensors.yaml"
 SEGMENTS, WINDOWS, TRUTH = "segments.csv", "windows.csv", "truth/sensors.csv"
-"""The files of a data set beside this folder."""
+"""The other files of a data set."""
 
 
 @dataclass(frozen=True)
@@ -168,7 +168,7 @@ class ImuRequest:
 
     @property
     def least_seconds(self) -> float:
-        """The smallest length of a piece of a take in seconds: that of a window, within 0.5 to 2 s, or 3 samples."""
+        """The smallest length of a piece in seconds: that of a window or of 3 samples, but from 0.5 to 2 s."""
         return min(MIN_SECONDS, max(0.5, self.windowing.seconds, 3.0 / self.wearing.rate_hz))
 
 
@@ -378,7 +378,7 @@ class _DataSet:
             self.truth.append([file, take.take, limb, f"{offset:.9f}", f"{worn.clock.ppm:.6f}", *quaternions])
 
     def _sensors(self) -> str:
-        """Return the sensor description, which states the units, as data of fast limbs do not show them."""
+        """Return a description of the sensors as YAML; it states units, which data of fast limbs do not reveal."""
         content = {"sensors": {limb: limb for limb in self.limbs}, "units": self._units(), "frame": "NWU"}
         head = "# The sensors of this data set.\n"
         if self.request.form != "npz":

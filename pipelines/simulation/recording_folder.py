@@ -1,4 +1,4 @@
-"""Choose the takes that are simulated, and write the folder of their recordings whole or not at all."""
+"""Choose the takes that are simulated, and write the folder of their recordings completely or not at all."""
 
 from __future__ import annotations
 
@@ -141,7 +141,7 @@ def write_recordings(
     takes : sequence of str
         The names of the takes.
     head : str
-        The comment lines at the begin of `recordings.yaml`.
+        The comment lines at the beginning of `recordings.yaml`.
     progress : callable
         Shows progress.
     record : callable

@@ -297,6 +297,8 @@ def write_masks(home: Path, ring: CameraRing, made: SimulatedRecording, body: Ch
         The cameras.
     made : SimulatedRecording
         The recording.
+    body : ChainBody
+        The body that is drawn.
     positions : float64 array (J, 3, T)
         The joints of the chain in metres.
 

@@ -102,7 +102,7 @@ class FilmedTake:
     Attributes
     ----------
     scene : DepthScene
-        The room, the body and the camera; its first image must be the background.
+        The room, the body and the camera; the first image that is drawn must be the background.
     place : CameraPlace
         The position and orientation of the camera.
     joints : float64 array (T, 24, 3)

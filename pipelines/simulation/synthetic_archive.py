@@ -135,7 +135,7 @@ def write_archive(
 
     Returns
     -------
-    Summary
+    ArchiveSummary
         The content of the archive.
 
     Raises

@@ -1,4 +1,4 @@
-"""Trackers with their observations, in the form used by the rounds of stabilisation with priors."""
+"""Track recordings by the kinematic chain, in the form that stabilisation by priors requires."""
 
 from __future__ import annotations
 
@@ -69,7 +69,7 @@ class ChainTracker:
 
     @property
     def carries_over(self) -> bool:
-        """True for silhouettes alone, where helpful priors lower the costs; with rays they only raise them."""
+        """True for silhouettes alone, where priors can lower the costs; with rays they only raise the costs."""
         return self.observed.observations is None
 
     def first(self) -> Track:
@@ -86,7 +86,7 @@ class ChainTracker:
         return self._with_silhouettes(found, None)
 
     def track(self, start: Poses, priors: PriorTerms | None) -> Track:
-        """Track the recording again from a start, with prior terms."""
+        """Track the recording again from initial poses, with the terms of priors."""
         if self.settings.tracker == "frames":
             return self._frame_by_frame(Poses(start.positions[:1], start.rotations[:1]), priors)
         fitting = replace(self.observed, observations=self._exchanged(start))

@@ -190,7 +190,7 @@ def remarks_of(recording: Recording) -> list[str]:
 
 @dataclass(frozen=True, eq=False)
 class StoredRecording:
-    """A recording as stored.
+    """A recording that was read from a store.
 
     Attributes
     ----------
@@ -234,7 +234,7 @@ def stored_recording(store: Store, name: str, stage: str | None = None) -> Store
     name : str
         The name of the recording.
     stage : str, optional
-        The stage that has read it, "<pipeline>/<stage>"; by default the last one.
+        The stage that has observed it, "<pipeline>/<stage>"; by default the stage that did so last.
 
     Raises
     ------

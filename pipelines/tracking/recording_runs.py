@@ -1,4 +1,4 @@
-"""Run tasks that each make a take from a recording; results are stored beside those of others, unchanged ones kept."""
+"""Run tasks that each make a take from a recording, and store their results beside those of other takes."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ def put_for_takes(
     column: str,
     gone: Collection[int | str],
 ) -> None:
-    """Store results of some takes or recordings, and keep those of the others that the stage has.
+    """Store results of some takes or recordings, and keep the stage's results of all others.
 
     Parameters
     ----------
@@ -152,7 +152,7 @@ class RunContext:
 
     @classmethod
     def of(cls, context: StageContext) -> RunContext:
-        """Return the place that corresponds to the context of a stage."""
+        """Return the run context that corresponds to the context of a stage."""
         return cls(
             context.key(), context.run, context.executor, context.message, context.progress, context.code, context.anew
         )

@@ -39,7 +39,7 @@ TRACK_KINDS: Sequence[str] = ("tracks", "chain_poses", "track_frames", "track_ca
 """The kinds of results of a tracked take; a stabilised one also has `priors`."""
 
 LIMBS = tuple(side + name for name in ("hip", "knee", "ankle", "shoulder", "elbow", "wrist") for side in "lr")
-"""The joints that are compared."""
+"""The joints of arms and legs, whose errors are evaluated."""
 
 FAILURES = "failures.csv"
 """A table beside a truth file, with columns recording, start, stop: intervals where a simulated detector fails."""
@@ -162,9 +162,9 @@ class TrackResult:
     moved_mm : float64 array (T, J), optional
         The distance by which priors have moved each joint, in millimetres.
     rows : tuple of PriorRow
-        The priors of all rounds.
+        The priors of all rounds of stabilisation.
     rounds : int
-        The number of rounds.
+        The number of these rounds; 0 for a take that was not stabilised.
     remarks : tuple of str
         Remarks about the track.
     """

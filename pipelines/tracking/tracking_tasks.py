@@ -1,4 +1,4 @@
-"""Track or stabilise one recording or take, with the body of a take, of the track itself, or of the archive's mean."""
+"""Track or stabilise one recording or take, with bone lengths of a take, of the track, or of the mean body."""
 
 from __future__ import annotations
 
@@ -168,7 +168,7 @@ class Subject:
 
 @dataclass(frozen=True, eq=False)
 class TrackTask:
-    """A task: to track a recording.
+    """A task that tracks a recording.
 
     Attributes
     ----------
@@ -206,9 +206,10 @@ class TrackTask:
 
 @dataclass(frozen=True, eq=False)
 class StabiliseTask:
-    """A task: to stabilise a take; `motions` are those of the archive, the other attributes as in `TrackTask`.
+    """A task that stabilises the take `of`, by priors from the motions of an archive.
 
-    `tracker` applies to takes that were tracked from a recording, and its loss to all takes.
+    `tracker` applies to takes that were tracked from a recording; only its loss applies to other takes. Attributes that
+    are not mentioned here are as in `TrackTask`.
     """
 
     store: Store

@@ -94,7 +94,7 @@ class DataSetFolder:
         (self.path / _LOCK).unlink(missing_ok=True)
 
     def checksums(self, wanted: Iterable[tuple[str, str]]) -> list[str] | None:
-        """Return the checksums of the files of a clip, or None unless all exist with the right content.
+        """Return the checksums of the files of a clip; None if a file is missing or has other content.
 
         Parameters
         ----------

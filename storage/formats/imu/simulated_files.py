@@ -188,9 +188,7 @@ WRITERS: dict[str, Callable[[Path, SampledPiece, float, float], list[Path]]] = {
     "npz": write_npz,
     "xsens-txt": write_xsens,
 }
-"""A dict from format to the function that writes a piece to files whose names begin with a stem, and returns their
-paths.
-"""
+"""The writers by format; each writes a piece to files whose names begin with a stem, and returns their paths."""
 
 
 def readme(form: str) -> str:
