@@ -29,7 +29,7 @@ POLICY = (
     "connect-src 'self'; font-src 'self'; worker-src 'self'; base-uri 'none'; form-action 'none'; "
     "frame-ancestors 'none'"
 )
-"""The Content-Security-Policy: a page loads from this server alone, runs no inline script; styles need the nonce."""
+"""The Content-Security-Policy: pages load from this server only and run no inline scripts; styles need the nonce."""
 
 HEADERS = {
     "x-content-type-options": "nosniff",
@@ -53,7 +53,7 @@ class Rules:
     Attributes
     ----------
     token : str
-        Anyone with the token may ask; it is sent once in the address, then in a cookie, or as a bearer token.
+        The token that every request needs: once in the address, then in a cookie, or as a bearer token.
     port : int
         The port, which is part of the cookie's name, so that servers on one machine do not share a cookie.
     hosts : frozenset of str
@@ -218,7 +218,7 @@ _PAGE = "<!doctype html><html lang=en><meta charset=utf-8><title>kinedex</title>
 
 
 class TooLongError(Exception):
-    """The body of a request is longer than the server takes."""
+    """The body of a request is longer than the server accepts."""
 
 
 def too_long_response() -> Response:

@@ -28,7 +28,7 @@ EXACT = 2**53
 
 
 class NotFoundError(KinedexError):
-    """The address, or the take, class or run that it names, is not there."""
+    """The address, or the take, class or run that it names, does not exist."""
 
 
 class Json(Response):
@@ -59,7 +59,7 @@ def error_json(status: int, kind: str, message: str, remedy: Remedy | None = Non
     Parameters
     ----------
     status : int
-        Status of HTTP.
+        The HTTP status code.
     kind : str
         Class of the error.
     message : str
@@ -115,7 +115,7 @@ def _wrong_fields(fault: ValidationError) -> str:
 
 
 def command_line(*words: str | Path) -> str:
-    """Return a command of the shell, its words quoted where they need it.
+    """Return a shell command, with quotes around the words that need them.
 
     Examples
     --------

@@ -2,7 +2,7 @@
 
 All settings are those of the stage `annotate` of the pipeline: method, δ, τ, classes, keyframe queries, shortest
 segment. An edited template replaces the learned one as a template of `learn_templates.template_files` would: it has no
-clips, so that `method: best` cannot learn its background from them, nor `each_example` make templates of them.
+clips, so `method: best` cannot learn a background from its clips, and `each_example` cannot make templates of them.
 """
 
 from __future__ import annotations
@@ -70,7 +70,7 @@ class CachedMatches:
         return self.starts.nbytes + self.ends.nbytes + self.costs.nbytes
 
     def below(self, tau: float) -> Found:
-        """Return the matches below a threshold that is not above that of these."""
+        """Return the matches below a threshold, which must not exceed `tau`."""
         starts, ends, costs = self.starts, self.ends, self.costs
         if tau < self.tau:
             chosen = costs < tau - TOLERANCE
@@ -124,7 +124,7 @@ class CachingThesisMethod(ThesisMethod):
 
 
 def template_key(template: QuantisedTemplate) -> tuple[bytes, bytes, bytes]:
-    """Return what the matches of a template in whole takes depend on, besides threshold and words, for cache keys."""
+    """Return the part of a cache key that identifies a template by everything that its matches depend on."""
     weights = b"" if template.feature_weights is None else template.feature_weights.tobytes()
     return template.mask.tobytes(), template.value.tobytes(), weights
 
@@ -209,7 +209,7 @@ class PipelineMaterial:
 
 
 def word_batches(store: Store, take_ids: Sequence[int]) -> list[TakeWords]:
-    """Return the words of takes, sorted by take id, in batches of which each is annotated by one thread."""
+    """Return the words of takes, sorted by take id, in batches that are each annotated by one thread."""
     words = stored_words(store, take_ids)
     found, first = [], 0
     for batch in split_takes(words.take_ids.tolist(), words.frames.tolist()):

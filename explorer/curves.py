@@ -48,7 +48,7 @@ MAX_ALIGNED = 1800
 
 @dataclass(frozen=True)
 class TemplateChoice:
-    """A learned template: its subclass, its kind, and the stage that learned it (None for the one shown).
+    """A learned template: its subclass, its kind, and the stage that learned it (None for the stage shown by default).
 
     `delta` is as for `ops.templates.templates.quantise`.
     """
@@ -73,7 +73,7 @@ def templates_of_take(store: Store, take_id: int) -> Row:
     -------
     dict
         `templates`: `name`, `kind`, `stage`, `columns`, `clips`, and `applied`, false where the body of the take lacks
-        too many joints. `tau`, `tau_by_class`, `delta`: those of the annotation, or the usual ones. `found`: the
+        too many joints. `tau`, `tau_by_class`, `delta`: those of the annotation, or the defaults. `found`: the
         subclasses of the annotations of the take, the most frequent first.
 
     Raises
@@ -200,8 +200,8 @@ def _quantised(store: Store, take_id: int, choice: TemplateChoice) -> tuple[Quan
 def nearest_hit(store: Store, take_id: int, choice: TemplateChoice, frame: int, tau: float = DEFAULT_TAU) -> Row:
     """Return the hit of a template that is nearest to a frame of a take, with its warping path.
 
-    A hit that contains the frame comes first, the cheapest of several; then the one that ends nearest to it. Without a
-    hit below τ the cheapest match of the take is returned.
+    A hit that contains the frame takes precedence, the cheapest one if there are several; otherwise the hit that ends
+    nearest to the frame is returned. If the take has no hit below τ, its cheapest match is returned.
 
     Parameters
     ----------

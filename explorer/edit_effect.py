@@ -10,9 +10,9 @@
  tau, f}, F = scores[i] from taus[i] on, and `tau` with the best of them; `advice` is the setting that gives each class
  a threshold of its own, where that is far better than the threshold of the pipeline, or null. `wrong` and `missed` are
  segments of the last template at the τ that is used: {total, segments: [hit]}. `missing` is a sentence where no take
- is held out, and there are no rows then. Without `everything` more than an hour of takes is judged by some of them,
- drawn at random; `truth` has the numbers of both. `pipeline` is the command that runs the pipeline again with the
- edited template. Whoever accepts application/x-ndjson gets lines with the progress first (`progress`).
+ is held out, and there are no rows then. Without `everything` at most an hour of takes, drawn at random, is evaluated;
+ `truth` describes all held-out takes and the evaluated ones. `pipeline` is the command that runs the pipeline again
+ with the edited template. A request that accepts application/x-ndjson gets lines with the progress first (`endpoints`).
 
 The class is annotated as its pipeline does it, keyframe queries included (`class_annotation`): with `compete` by the
 templates of all classes, otherwise by its own alone. Where the method has no thresholds, `uses_tau` is false, τ of rows
@@ -165,7 +165,7 @@ def _judged(prepared: Prepared, edit: Edit, compete: bool, best: dict[str, float
 
 
 def _wanted(prepared: Prepared, edit: Edit, best: dict[str, float | None]) -> list[Row]:
-    """Return the rows of the table without scores: a template at a threshold, None for a method without thresholds."""
+    """Return the rows of the table, yet without scores: each a template and a threshold, which may be None."""
     pairs: list[tuple[str, str, float | None]]
     if not prepared.use.uses_thresholds:
         pairs = [("learned", "pipeline", None), *([("edited", "used", None)] if edit.template else [])]
@@ -204,7 +204,7 @@ def annotate_class(
 
 
 def _mistakes(prepared: Prepared, found: Sequence[tuple[Segment, ...]]) -> Row:
-    """Return false positives by ascending cost, and false negatives: segments that overlap no true or no found one."""
+    """Return found segments that overlap no true one, by ascending cost, and true ones that overlap no found one."""
     store, label = prepared.store, prepared.label
     wrong, missed = [], []
     for take, own in zip(prepared.takes, found, strict=True):

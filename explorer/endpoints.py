@@ -6,10 +6,9 @@ function that only reads is cancelled (`ops.cancellation`).
 
     routes = [get("/api/store", describe), post("/api/takes", find_takes, TakesQuestion)]
 
-Answer slow requests by lines of JSON: the progress, then the answer; stop the work if the client disconnects.
-
-Whoever asks with `Accept: application/x-ndjson` gets {done, total} whenever it has changed (both 0 until the work is
-known), and at last {answer} or {error, status}; everybody else gets the answer alone.
+A slow request with `Accept: application/x-ndjson` is answered by lines of JSON: {done, total} whenever the progress has
+changed (both 0 until the amount of work is known), and at last {answer} or {error, status}. Without this header the
+response is the answer alone. The work stops if the client disconnects.
 """
 
 from __future__ import annotations
@@ -74,7 +73,7 @@ def post(
         Path of the address, with parameters in braces.
     function : callable
         Called with the archive, the parsed body and the request; returns the answer.
-    asked : type of Question
+    asked : type of RequestBody
         Model of the body.
     writes : bool, optional
         True if the function writes anything; `--read-only` refuses it then.
@@ -141,7 +140,7 @@ def get_of_take(path: str, function: Callable[[Any, int], Result]) -> Route:
 
 
 class Progress:
-    """The number of steps of some work, done and in all; one thread counts them while another one reads the numbers."""
+    """The steps of some work, done and in all, which one thread counts while another thread reads them."""
 
     def __init__(self) -> None:
         self.step = (0, 0)
@@ -159,7 +158,7 @@ Function = Callable[[Archive, Asked, Request, Progress], Mapping[str, Any]]
 
 
 def post_with_progress(path: str, function: Function[Asked], asked: type[Asked]) -> Route:
-    """Return the route of a question with a body, whose answer may take a while.
+    """Return the route of a POST address whose answers may take a while.
 
     Parameters
     ----------
@@ -168,7 +167,7 @@ def post_with_progress(path: str, function: Function[Asked], asked: type[Asked])
     function : callable
         Called with the archive, the body, the request and the progress, which it advances; returns the answer. It must
         not write.
-    asked : type of Question
+    asked : type of RequestBody
         Model of the body.
     """
 

@@ -116,7 +116,7 @@ class Events:
 
 
 class _Known:
-    """The readability of the store as last sent to a listener: readable, or the reason why not; at first not sent."""
+    """The state of the store that was last sent to a listener: readable, or the error; at first nothing was sent."""
 
     def __init__(self, look: Callable[[], Mapping[str, object]]) -> None:
         self._look = look

@@ -1,4 +1,4 @@
-"""Search by example: more like some intervals, and less like others.
+"""Search by example: find intervals that are similar to some examples, and dissimilar to others.
 
 `POST /api/ask/examples` {positives: [interval], negatives?: [interval], mirror?, tau?, delta?, top? ≤ 500, where?,
  filters?, name?} with intervals {take_id | take, start, stop, mirrored?}
@@ -55,7 +55,7 @@ SHOWN_SECONDS = 3.0
 
 MAX_EXAMPLES = 500
 MAX_SECONDS = 60.0
-"""Longest interval that is an example: the time of a search grows with its length."""
+"""The longest interval, in seconds, that can be an example; the time of a search grows with its length."""
 
 Examples = Annotated[tuple[ChosenHit, ...], Field(max_length=MAX_EXAMPLES)]
 

@@ -96,7 +96,7 @@ def export_facts(archive: Archive, _request: Request) -> Row:
 
 
 def request_of(store: Store, asked: ExportRequest) -> IntervalSource:
-    """Return the description of the intervals to export that a request of the explorer page asks for."""
+    """Return the intervals that a request of the page exports, in the form that pipelines use."""
     kind, name = asked.what.kind, asked.what.name
     if asked.hits:
         kind, name = "sql", _hits_query(asked.hits)
@@ -129,7 +129,7 @@ def folder_of(archive: Archive, text: str) -> Path:
     Raises
     ------
     KinedexError
-        It is not absolute, lies in the store or around it, or holds files that no export has written.
+        The path is not absolute, lies in the store or around it, or is a folder with files that no export has written.
     """
     refuse_addresses(text.strip())
     folder = Path(text.strip()).expanduser()
@@ -234,7 +234,7 @@ def plan_export(archive: Archive, asked: ExportRequest, _request: Request) -> Ro
 
 
 def _records(store: Store, what: IntervalSource, how: ClipOptions, plan: Plan) -> tuple[list[Row], int]:
-    """Return the rows of metadata.csv, and the bytes of it and of dataset.json, which follow from the plan."""
+    """Return the rows of metadata.csv, and the size in bytes of metadata.csv and dataset.json together, by the plan."""
     done = [Done(job, tuple(WrittenFile(file, job.fingerprint, "0" * 64) for file in job.files)) for job in plan.jobs]
     facts = Facts(store, what, how, {}, plan.remarks)
     rows = metadata_rows(facts, done)

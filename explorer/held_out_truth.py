@@ -1,4 +1,4 @@
-"""Takes that a template is judged by: ground truth of those that it was not learned from, words, and costs of clips."""
+"""Prepare the evaluation of a template on held-out takes: their ground truth and words, and the costs of clips."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ Segments = dict[str, list[tuple[int, int]]]
 
 
 KEPT = 2
-"""Maximum number of templates whose held-out takes' words are kept in memory between two edits."""
+"""Maximum number of templates for which the words of held-out takes are cached between two edits."""
 
 _PREPARING = Lock()
 """Held while the data of a template are read, so that further requests for them wait."""
@@ -48,7 +48,7 @@ _PREPARING = Lock()
 
 @dataclass(frozen=True)
 class HeldOutTakes:
-    """The takes that a template is judged by.
+    """The held-out takes that a template is evaluated on.
 
     Attributes
     ----------
@@ -59,9 +59,9 @@ class HeldOutTakes:
     takes : dict of int to list of (int, int)
         The segments of the class in each take that is held out.
     every : tuple of int
-        The ids of all takes that are held out; `takes` are some of them where all would take long.
+        The ids of all takes that are held out; `takes` is a random part of them if all would take too long.
     among_examples : int
-        Takes with ground truth that the class has examples of, and that are not judged by.
+        The number of takes with ground truth that are excluded because they contain examples of the class.
     missing : str
         The reason why there is no held-out take, and what to do; empty if there are some.
     remarks : tuple of str
@@ -137,7 +137,7 @@ def held_out_takes(
 
 
 def sampled_takes(store: Store, takes: Sequence[int]) -> list[int]:
-    """Return takes of `MAX_SECONDS` in all, one at least, in a drawn order that is the same each time."""
+    """Return random takes of at most `MAX_SECONDS` in all, but at least one; the choice is the same each time."""
     order = np.random.default_rng(0).permutation(len(takes)).tolist()
     lengths = np.cumsum([in_seconds(store.take_frames[takes[place]], store.rate_hz) for place in order])
     count = max(1, int(np.searchsorted(lengths, MAX_SECONDS, side="right")))
@@ -195,7 +195,7 @@ def labelled_segments(store: Store, use: TemplateUse, label: str) -> tuple[Segme
 
 @dataclass(frozen=True)
 class TrainingCosts:
-    """The training clips of all classes, and what they cost for the templates of one class.
+    """The training clips of all classes, and their distances to the templates of one class.
 
     Attributes
     ----------
@@ -204,11 +204,11 @@ class TrainingCosts:
     own : bool array (C,)
         True for the clips of the class.
     others : float64 array (C,)
-        Their least distance to the templates of the class besides the one that is edited.
+        The smallest distance of each clip to the templates of the class, except the edited one.
     delta : float
         Entries of a template within delta of 0 or 1 count.
     actors : int
-        The number of actors of the clips; those without one count as one more.
+        The number of actors of the clips; clips without an actor count as those of one more.
     """
 
     clips: list[StoredClip]
@@ -218,17 +218,17 @@ class TrainingCosts:
     actors: int
 
     def of(self, one: SubclassTemplate) -> tuple[F64, F64] | None:
-        """Return the smallest distance of the class's templates in its own clips and in all others.
+        """Return the smallest distances to the templates of the class: of its own clips, and of all other clips.
 
         Parameters
         ----------
         one : SubclassTemplate
-            The template before the edit.
+            The template, edited or not.
 
         Returns
         -------
         (float64 array, float64 array) or None
-            ∞ where nothing fits; None where no clip of the class is left, or none fits.
+            ∞ where no template fits; None if the store has no clip of the class, or no template fits one.
         """
         if not self.own.any():
             return None
@@ -239,7 +239,7 @@ class TrainingCosts:
 
 @dataclass
 class Prepared:
-    """All that does not change while a template is edited.
+    """The data for the evaluation of a template that do not change while it is edited.
 
     Attributes
     ----------
@@ -254,13 +254,13 @@ class Prepared:
     others : tuple of SubclassTemplate
         The other templates of the class.
     held_out : HeldOutTakes
-        The takes to judge by.
+        The takes that the template is evaluated on.
     batches : list of TakeWords
         Their words, in the order of their ids.
     training : TrainingCosts
         The training clips.
     material : PipelineMaterial
-        What the pipeline annotates with besides templates.
+        The inputs of the pipeline's annotation besides templates.
     counts : dict of (float or None, bool) to Counts
         The counts of the learned template for some thresholds, with and without the other classes.
     """
@@ -297,7 +297,7 @@ _PREPARED: Cache[tuple[object, ...], Prepared] = Cache(KEPT)
 
 
 def prepared_template(archive: Archive, store: Store, asked: EditRequest) -> Prepared:
-    """Return the data for judging edits of a template: ground truth, words and costs; cached for later requests."""
+    """Return the data for evaluating edits of a template: ground truth, words and costs; cached for later requests."""
     which = (asked.stage, asked.kind, asked.template, asked.truth, asked.everything)
     key = (str(archive.path), store.manifest.version, archive.state()["labels"], *which)
     with _PREPARING:

@@ -1,10 +1,10 @@
 """Define the form of hits in the answers of all searches, and label hits.
 
-{take_id, take, start, stop, cost: number or null, mirrored, name}: the frames [start, stop) of a take, what they cost,
-whether they fit the mirror image, and the template or query that found them.
+{take_id, take, start, stop, cost: number or null, mirrored, name}: the frames [start, stop) of a take, their cost,
+whether they match the mirror image, and the name of the template or query that found them.
 
-`POST /api/ask/labelled` {hits: [interval]} → {labels: [[{class, verdict, share}]]}: for each interval the labels that
- people have given it, or an interval of which half, or which by half, lies in it.
+`POST /api/ask/labelled` {hits: [interval]} → {labels: [[{class, verdict, share}]]}: for each interval the labels of
+ people that overlap it by at least half of the shorter of the two.
 """
 
 from __future__ import annotations
@@ -100,7 +100,7 @@ def find_labels(archive: Archive, asked: HitLabelsRequest, _request: Request) ->
 
 
 def shown_hits(store: Store, hits: Iterable[Hit]) -> list[dict[str, Any]]:
-    """Return hits in the form of the module's first lines."""
+    """Return hits in the form that the module describes."""
     return [
         {
             "take_id": store.take_ids[one.interval.take],
@@ -114,7 +114,7 @@ def shown_hits(store: Store, hits: Iterable[Hit]) -> list[dict[str, Any]]:
 
 
 def take_condition(store: Store, selection: Selection) -> str | None:
-    """Return the condition on takes of a selection as SQL over their columns alone, None for all takes."""
+    """Return a selection as a SQL condition over columns of takes only; None if it selects all takes."""
     selection = takes_only_selection(store, selection)
     condition = condition_of(selection, store.take_rows.column_names, columns_with_nan(store))
     return condition.removeprefix(" WHERE ") or None

@@ -2,13 +2,14 @@
 
 `GET /api/jobs` → {jobs: [job]}, the latest last; `GET /api/jobs/ID/log` → {text}; `POST /api/jobs/ID/stop {force?}`. A
 job is {id, title, state, stopping, share, done, total, message, command, begun, finished, version, problem}; its state
-is waiting, running, done, failed or stopped, and `share` is how much of it is done, from 0 to 1, null while nobody
-knows. Every change of a job is an event `job`.
+is waiting, running, done, failed or stopped, and `share` is the fraction that is done, null while that is
+unknown. Every change of a job is an event `job`.
 
-A job is a process of its own, so that it outlives the tab. One job writes at a time; the next ones wait, and a writer
-from elsewhere is waited for as `--wait` does. Stopping is Ctrl-C: what the run has committed stays, and the same
-command continues. A job that ignores it is killed with `force`, which costs what it has not committed. When the server
-ends, it stops its job so, and jobs that wait are dropped. The logs are kept in the folder `jobs` of the store.
+Each job is a separate process, so that it outlives the tab. One job runs at a time, and the others wait; if another
+process writes to the store, a job waits for it as `--wait` does. A job is stopped as by Ctrl-C: its committed results
+remain, and the same command continues. With `force` a job is killed, and results that are not committed are lost. If
+the server ends, it stops the running job and drops the waiting ones. The logs are kept in the folder `jobs` of the
+store.
 """
 
 from __future__ import annotations
@@ -46,7 +47,7 @@ END_SECONDS = 20.0
 """Seconds that a stopped job may take to end; then it is killed, and what it has not committed is lost."""
 
 MAX_LOG_BYTES = 200_000
-"""The end of a log that is sent; the file has all of it."""
+"""The largest number of bytes of a log that are sent: those at its end; the file has all of them."""
 
 State = Literal["waiting", "running", "done", "failed", "stopped"]
 
@@ -211,7 +212,7 @@ class Jobs:
         return self._path / FOLDER / f"{job.id}.log"
 
     def stop(self, job: Job, *, force: bool = False) -> None:
-        """Stop a job as Ctrl-C does, or drop it where it waits; `force` ends it and its workers at once."""
+        """Stop a running job as Ctrl-C does, or drop a waiting one; `force` kills a job and its workers at once."""
         with self._lock:
             if job.state == "waiting":
                 job.state = "stopped"
@@ -224,7 +225,7 @@ class Jobs:
         self._publish(job)
 
     def end(self) -> None:
-        """Stop what runs, drop what waits, and wait for the end; the server stops."""
+        """Stop the running job, drop the waiting ones, and wait for the end, because the server stops."""
         with self._lock:
             self._ended = True
             for job in self._jobs:
@@ -319,7 +320,7 @@ class Jobs:
 _GROUP: dict[str, Any] = (
     {"start_new_session": True} if os.name != "nt" else {"creationflags": 0x200}  # CREATE_NEW_PROCESS_GROUP
 )
-"""A job has a group of processes of its own: Ctrl-C on the terminal is for the server, which stops the job then."""
+"""Options that start a job in a separate group of processes, so that Ctrl-C on the terminal reaches only the server."""
 
 
 def _progress(job: Job, lines: Path, place: int) -> tuple[int, bool]:

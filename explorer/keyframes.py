@@ -1,4 +1,4 @@
-"""Search by keyframes: a few poses by features that are on or off, the time between them, and the same as YAML.
+"""Search by keyframes: a few poses, given by features that are on or off, with times between them, or as YAML.
 
 `POST /api/ask/keyframes` {text | query, where?, filters?, limit? ≤ 500} with the text of a query file, or a query
  {name, poses: [{on: [feature], off: [feature]}], gaps: [{low, high: seconds or null}]}
@@ -262,7 +262,7 @@ def _seen(store: Store, outcome: Outcome, query: KeyframeQuery) -> Row | None:
 
 
 def frames_of_poses(words: U64, pattern: WordPattern) -> list[int] | None:
-    """Return the first frames of a motion that show the keyframes of a query in their order, None where none do.
+    """Return the first frames of a motion that show the keyframes of a query in order; None if there are none.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""Preview label files as differences from the labels there are, import them, and export labels for other tools.
+"""Preview label files as differences from the existing labels, import them, and export labels for other tools.
 
 `POST /api/labels/read {paths: [path], corrects?: "annotations" or "labels", stage?}` shows what would be recorded, and
 records nothing; its `checksum` is that of the files. `POST /api/labels/import` with the same and this checksum records

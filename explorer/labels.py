@@ -1,4 +1,4 @@
-"""Labels of people: those of a take and of the store with their history, and decisions in one request.
+"""Labels of people: read those of a take or of the store with their history, and record edits of a take at once.
 
 `GET /api/labels` answers with `label_facts`, `GET /api/takes/ID/labels` with `take_labels`, and `POST /api/labels/list`
 with rows of the view `labels` or `label_history`.
@@ -12,7 +12,7 @@ none of them. A change is one of
     {do: "join", ids: [id, …], labels: [label, …]}                  as many ids as labels
     {do: "withdraw", id, label}
     {do: "accept" or "reject", id, stage, class, subclass, start, stop, seen?}
-    {do: "restore", ids: [id, …], made: [id, …], back: [id, …]}     undo the edit that made rows of others, or redo it
+    {do: "restore", ids: [id, …], made: [id, …], back: [id, …]}     undo an edit that made rows, or redo it
 
 An id is 32 hexadecimal digits that the page makes, and `label` is the id of a label. The answer is sent only after the
 journal is on disk; a request that is sent again records nothing twice. If a label was changed meanwhile, the answer is
@@ -258,11 +258,11 @@ def label_facts(archive: Archive, _request: Request) -> Row:
     Returns
     -------
     dict
-        `labels`, the number that count; `decisions`, that of all rows; `classes` of the store (of takes, labels and
-        annotations), each with `name` and the number of `positive` and `negative` labels; `annotator`, the name that
-        new labels get unless a person gives another; `annotators`; `takes`, the number of takes with labels; and
-        `learned`, with the stage of the current annotations, the time when its templates were learned, and the number
-        of decisions `since`.
+        `labels`, the number of current labels; `decisions`, the number of all rows; `classes` of the store (of takes,
+        labels and annotations), each with `name` and the number of `positive` and `negative` labels; `annotator`, the
+        name that new labels get unless a person gives another; `annotators`; `takes`, the number of takes with labels;
+        and `learned`, with the stage of the current annotations, the time when its templates were learned, and the
+        number of decisions `since`.
     """
     store = archive.store()
     labels = store.labels()

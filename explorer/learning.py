@@ -2,11 +2,11 @@
 
 `GET /api/learn` answers with `learning_facts`, `POST /api/learn {examples?, method?, where?}` starts a job,
 `GET /api/learn/changes` lists what the last one changed, and `POST /api/learn/undo` starts a job that brings the
-annotations before it back. Once the page has asked for the facts, a process is kept ready (`jobs.SpareProcess`).
+annotations before it back. Once the page has asked for the facts, a process is kept ready (`jobs.WarmProcess`).
 
-What is learned belongs to a pipeline of its own, `learn-again`, with the settings of the current annotation and the
-labels of people as further examples. So the results that were there stay beside it, and an earlier result of its own
-comes back with its version (`kinedex use STORE learn-again --at VERSION`).
+The results belong to a separate pipeline, `learn-again`, which has the settings of the current annotation and the
+labels of people as further examples. So the results of other pipelines remain, and former results of `learn-again` can
+be restored by their version (`kinedex use STORE learn-again --at VERSION`).
 """
 
 from __future__ import annotations
@@ -187,14 +187,14 @@ def learn(archive: Archive, asked: LearnRequest, _request: Request) -> Row:
 TITLE = "Learn again"
 
 _WEIGHTS = {"learn_templates": 1.0, "learn_keyframes": 5.0, "annotate": 20.0}
-"""About how long the stages take compared with each other, over a large archive."""
+"""The approximate relative durations of the stages for a large archive."""
 
 
 def _put_classes(archive: Archive, store: Store, stages: Row) -> None:
     """Extend the class file of the stages by classes that people have labelled and that it lacks.
 
     The extended file is written beside the file of the pipeline. Without clips as examples, a class file cannot be
-    used, since it names subclasses that only clips have: then every class of a label becomes a class of its own.
+    used, since it names subclasses that only clips have; the classes of the labels are then used as they are.
     """
     annotate = stages["annotate"]["params"]
     files = class_files(annotate.get("classes", OWN))
@@ -219,7 +219,7 @@ def classes_with(classes: Row, names: Sequence[str]) -> str | None:
     classes : dict
         Class → its subclasses, or an entry with `subclasses`, as in a class file.
     names : sequence of str
-        Subclasses. One that no entry takes becomes a class of its own; one that bears the name of a class joins it.
+        The subclasses. A subclass that no entry contains joins the class of the same name, or becomes a new class.
     """
     entries = {
         str(name): entry if isinstance(entry, dict) else {"subclasses": entry} for name, entry in classes.items()

@@ -1,4 +1,4 @@
-"""Compute maps in processes of their own, at low priority, and stop each when no client waits for it any longer."""
+"""Compute maps in separate processes, at low priority, and stop each process when no client waits for its map."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ Step = tuple[int, int]
 
 
 class MapRun:
-    """The computation of a map in a process of its own.
+    """The computation of a map in a separate process.
 
     Attributes
     ----------
@@ -43,11 +43,11 @@ class MapRun:
     result : ArchiveMap or None
         The map, once it is computed.
     fault : KinedexError or None
-        The reason for which there is none.
+        The reason why there is no map.
     waiting : int
-        The number of those who wait for it.
+        The number of requests that wait for the map.
     reader : threading.Thread
-        The thread that takes the reports. It alone waits for the process: of two threads that wait for one process,
+        The thread that receives the reports. It alone waits for the process: of two threads that wait for one process,
         the system tells only one how it ended, and the other may believe for a moment that it still runs.
     """
 
@@ -128,7 +128,7 @@ class Maps:
         store : Store
             The store.
         unit : {"takes", "windows"}
-            The points.
+            The unit that a point represents.
 
         Raises
         ------

@@ -113,7 +113,7 @@ def _cluster(store: Store, one: Cluster) -> dict[str, Any]:
 
 
 def cluster_title(one: Cluster) -> str:
-    """Return the classes that most takes of a cluster have: up to two, "mixed" if they have less than half of it."""
+    """Return a title of a cluster: one or two classes of at least half of its takes, else "mixed" or "no class"."""
     known = [(value, takes) for value, takes in one.classes if value is not None]
     if sum(takes for _, takes in known) * 2 < one.takes:
         return "no class"

@@ -52,13 +52,13 @@ FINEST_M = 0.0001
 """The smallest unit in metres."""
 
 BLOCK_FRAMES = 3600
-"""Maximum number of stored frames of a block: two minutes, 520 KB. Blocks grow to it."""
+"""Maximum number of stored frames of a block, up to which blocks grow: two minutes, 520 KB."""
 
 WIDEST_M = 65.0
 """Maximum extent of a block of several frames along an axis, for a unit of 1 mm."""
 
 FIRST_FRAMES = 150
-"""Stored frames of the first block, which is short so that the first pose is shown soon."""
+"""The number of stored frames of the first block, which is short so that the first pose is shown soon."""
 
 MAX_FIGURES = 500
 """Maximum number of figures of one answer."""
@@ -68,12 +68,12 @@ _HEADER = struct.Struct("<4s4I5f8x")
 
 
 class PositionCache:
-    """Joint positions of takes that were read lately, within a bound of memory. Several threads may use it.
+    """A cache of the joint positions of recently read takes, with a limit of memory; several threads may use it.
 
     Parameters
     ----------
     most_bytes : int
-        The least recently used takes are dropped above it.
+        The largest size in bytes; above it, the least recently used takes are dropped.
     """
 
     def __init__(self, most_bytes: int = 64_000_000) -> None:
@@ -92,7 +92,7 @@ class PositionCache:
         return self._held.put(_key(store, take_id), read) if fits else read
 
     def intervals(self, store: Store, items: Sequence[Interval]) -> Iterator[tuple[int, F32]]:
-        """Yield the index and the positions of each interval, in any order; of takes not cached, only it is read."""
+        """Yield the index and the positions of each interval, in any order; takes not cached are read in part."""
         missing = []
         for place, one in enumerate(items):
             held = self._at_hand(store, store.take_ids[one.take])
@@ -247,7 +247,8 @@ def figures(cache: PositionCache, store: Store, items: Sequence[Interval], frame
     items : sequence of Interval
         The intervals, at most `MAX_FIGURES`; the answer has their order.
     frames : int
-        Most stored frames of a figure, from 1 on: of a longer interval every second frame is sent, or every third, …
+        The largest number of stored frames of a figure, at least 1; of longer intervals only every second, third, …
+        frame is sent.
 
     Raises
     ------
@@ -276,9 +277,10 @@ def figures(cache: PositionCache, store: Store, items: Sequence[Interval], frame
 
 
 def facing_viewer(positions: npt.NDArray[np.floating], joints: Sequence[str]) -> npt.NDArray[np.float64]:
-    """Move and turn a motion so that its body begins above the origin and faces +Z; heights stay.
+    """Move and turn a motion so that its body begins above the origin and faces +Z; heights are unchanged.
 
-    The first frame in which both hips (or both shoulders) are known counts. A motion without one is only moved.
+    The direction is that of the first frame in which both hips (or both shoulders) are known. A motion without such a
+    frame is only moved.
 
     Parameters
     ----------

@@ -62,13 +62,13 @@ class Archive:
     def store(self) -> Store:
         """Return the store, opened at its newest version that has an index.
 
-        What a caller holds stays valid until it lets go of it: the version is leased for as long. While one thread
-        opens a newer version, the others get the one before it, or the error of the last attempt.
+        The store stays valid while the caller holds it, because its version is leased. While one thread opens a newer
+        version, other threads get the former one, or the error of the last attempt.
 
         Raises
         ------
         StoreError
-            A newer version is damaged or cannot be read, or the folder is gone.
+            A newer version is damaged or cannot be read, or the folder no longer exists.
         """
         if time.monotonic() - self._looked >= LOOK_SECONDS and self._looking.acquire(blocking=False):
             try:
@@ -83,12 +83,12 @@ class Archive:
         return self._store
 
     def state(self, *, look: bool = False) -> dict[str, object]:
-        """Return the version that is shown, and a number that changes whenever it or labels do.
+        """Return the version that is shown, and a text that changes whenever the version or the labels change.
 
         Parameters
         ----------
         look : bool, optional
-            Look for a newer version now, however short ago that was done.
+            Check for a newer version now, even if the last check was a moment ago.
         """
         if look:
             with self._looking:

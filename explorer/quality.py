@@ -68,7 +68,7 @@ def flags(archive: Archive, _request: Request) -> dict[str, Any]:
 
 
 def duplicates(archive: Archive, _request: Request) -> dict[str, Any]:
-    """Return the takes that hold the motion of others, as `kinedex duplicates` found them."""
+    """Return the takes that contain the motion of other takes, as found by `kinedex duplicates`."""
     store = archive.store()
     found = store.answer(_DUPLICATES, timeout=SQL_SECONDS, max_rows=ROWS)
     return {

@@ -85,7 +85,7 @@ def review_queue(archive: Archive, asked: QueueRequest, _request: Request) -> Ro
 
 
 def _clause(asked: QueueRequest, where: str | None) -> str:
-    """Return the filters of a question as a WHERE clause that begins with a space; empty without filters."""
+    """Return the filters of a request as a WHERE clause that begins with a space; empty without filters."""
     takes, classes = (", ".join(map(quote, names)) for names in (asked.takes, asked.classes))
     parts = [f"({where}\n)" if "--" in where else f"({where})"] if where else []
     parts += [f"take IN ({takes})"] if takes else []
@@ -119,7 +119,7 @@ def _has_name() -> pl.Expr:
 
 
 def _nearest(store: Store, stage: str, rows: list[Row]) -> dict[tuple[str, str, int, int], Row]:
-    """Return the nearest example of each annotation; none where the templates are gone."""
+    """Return the nearest example of each annotation; an empty dict if the templates no longer exist."""
     record = store.manifest.stages[stage]
     name = record.summary.get("inputs", {}).get("templates")
     if name is None or not rows:

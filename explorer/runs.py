@@ -9,9 +9,9 @@ seconds}], problem}, where `problem` is null or {setting, message}; `POST /api/r
 A pipeline is a shipped one, or one that the store has run and whose file still exists. Settings are the texts of
 `--set`; the code that reads pipeline files checks them before a job begins, and they are words of an argument list.
 
-`GET /api/reports/NAME` answers with a file that a stage wrote. A report is a page with inline scripts over names that
-anybody may have chosen. It gets an origin of its own by its content policy, so that its scripts have neither the cookie
-of the explorer nor an answer of the server.
+`GET /api/reports/NAME` answers with a file that a stage wrote. A report is a page with inline scripts and with names
+that anybody may have chosen. Its content policy gives it a separate origin, so that its scripts can read neither the
+cookie of the explorer nor answers of the server.
 """
 
 from __future__ import annotations
@@ -55,7 +55,7 @@ POLICY = (
     "sandbox allow-scripts; default-src 'none'; script-src 'unsafe-inline'; style-src 'unsafe-inline'; "
     "img-src data: blob:; font-src data:; base-uri 'none'; form-action 'none'; frame-ancestors 'none'"
 )
-"""The content policy of a report: inline scripts in an origin of its own, and nothing loaded from anywhere."""
+"""The content policy of a report: inline scripts run in a separate origin, and nothing is loaded from elsewhere."""
 
 TYPES = {
     ".html": "text/html",
@@ -73,7 +73,7 @@ Text = Annotated[str, Field(max_length=10_000, pattern=r"^[^\x00]*$")]
 
 
 class RunRequest(RequestBody):
-    """A request with a pipeline, and texts as of `--set` for its settings and parameters of its stages."""
+    """A request with a pipeline, and texts for its settings and stage parameters, as `--set` takes them."""
 
     pipeline: Text
     settings: dict[Text, Text] = Field(default_factory=dict)
@@ -248,7 +248,7 @@ def report_file(archive: Archive, name: str) -> Path:
     NotFoundError
         No stage of the store has written a file of this name, or the file is gone or leads out of the folder.
     StoreError
-        The file is not as its stage wrote it.
+        The file has changed since its stage wrote it.
     """
     folder = (archive.path / REPORTS).resolve()
     path = (folder / name).resolve()

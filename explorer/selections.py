@@ -4,7 +4,7 @@ A column is one of the view `takes`, or `folder`: the folder of the source file.
 characters, so that an address can hold any set of takes (a lasso on the map): a bit set in base64url without `=`, in
 which bit i, counted from the highest bit of the first byte, is set if the take with id i is chosen.
 
-SQL conditions that users type: errors that quote them, and conditions over other views than `takes`.
+The module also evaluates SQL conditions of users over other views, and quotes them in error messages.
 """
 
 from __future__ import annotations
@@ -67,7 +67,7 @@ class Filter(RequestBody):
 
 
 class Selection(RequestBody):
-    """Takes that fit all of some filters and a condition of SQL."""
+    """Takes that fit all filters and a SQL condition."""
 
     where: str | None = None
     filters: tuple[Filter, ...] = ()
@@ -217,19 +217,19 @@ def quoting_condition(function: Answer[Asked]) -> Answer[Asked]:
 
 
 def matching_takes(store: Store, where: str) -> npt.NDArray[np.int64]:
-    """Return the ids of the takes for which a condition holds; it may read every view.
+    """Return the ids of the takes for which a SQL condition holds; the condition may refer to any view.
 
     Parameters
     ----------
     store : Store
-        The store that is asked.
+        The store to read.
     where : str
         The condition.
 
     Raises
     ------
     KinedexError
-        The condition is at fault; the message has the place in it.
+        The condition is invalid; the message states the position of the error.
     """
     text = where.strip()
     try:
@@ -286,14 +286,14 @@ def takes_only_selection(store: Store, asked: Selection) -> Selection:
     Parameters
     ----------
     store : Store
-        The store that is asked.
+        The store to read.
     asked : Selection
         The selection as the user made it.
 
     Raises
     ------
     KinedexError
-        The condition is at fault; the message has the place in it.
+        The condition is invalid; the message states the position of the error.
     """
     where = (asked.where or "").strip()
     if not where:

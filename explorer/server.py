@@ -26,7 +26,7 @@ PORT = 8734
 """The default port; if it is in use, a free one is taken."""
 
 HEAD_BYTES = 64 * 1024
-"""The longest address with its headers: one that names a choice of takes is long."""
+"""The largest size of an address with its headers, in bytes; addresses that list chosen takes are long."""
 
 HEAPS, M_ARENA_MAX = 2, -8
 """The number of malloc heaps that all threads share, and the number of that setting in glibc's malloc.h."""
@@ -134,7 +134,7 @@ def serve(
     KinedexError
         There is no store or no built page, or the port is in use.
     KeyboardInterrupt
-        Ctrl-C ended it.
+        The user has pressed Ctrl-C.
     """
     require_page()
     share_heaps()

@@ -281,7 +281,7 @@ def _quality_lanes(cache: PositionCache, store: Store, take_id: int) -> list[Row
 
 
 def _runs(frames: npt.NDArray[np.bool_]) -> list[list[int]]:
-    """Return the longest intervals [start, stop) in which a Boolean array is true."""
+    """Return the maximal intervals [start, stop) in which a Boolean array is true."""
     edges = np.flatnonzero(np.diff(np.concatenate(([False], frames, [False])).astype(np.int8)))
     found: list[list[int]] = edges.reshape(-1, 2).tolist()
     return found
@@ -305,7 +305,7 @@ _READERS: dict[str, Callable[[Store, int], list[Row]]] = {
 
 
 def limb_error_curve(store: Store, take_id: int, limb: str) -> npt.NDArray[np.float32]:
-    """Return the angle between a limb's orientations in the take and by its sensor, in each analysis frame.
+    """Return the angle between the orientations of a limb in the take and by its sensor, in each analysis frame.
 
     Parameters
     ----------
@@ -353,7 +353,7 @@ def nearest_in_time(times: F64, values: F64, wanted: F64, within: float) -> F64:
     wanted : float64 array (T,)
         Times.
     within : float
-        Most difference of the times.
+        The largest accepted difference of the times.
     """
     after = np.searchsorted(times, wanted).clip(max=len(times) - 1)
     before = (after - 1).clip(min=0)

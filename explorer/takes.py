@@ -52,7 +52,7 @@ KEPT = 32
 
 
 SortedTakes = tuple[npt.NDArray[np.int64], float]
-"""The takes of a question: their rows in `Store.take_rows`, in the order asked for, and their duration in hours."""
+"""The takes of a request: their rows in `Store.take_rows`, in the order asked for, and their duration in hours."""
 
 BINS = 24
 """Number of bins of the histogram of a numeric column."""
@@ -96,7 +96,7 @@ def _sorted_takes(store: Store, condition: str, order: str) -> SortedTakes:
 
 
 def order_of(sort: Sequence[Sort], known: Sequence[str], nan: Collection[str] = ()) -> str:
-    """Return the order as an ORDER BY clause; takes that are equal in it are sorted by name."""
+    """Return the order as an ORDER BY clause; takes with equal values are sorted by name."""
     directions = ("ASC", "DESC")
     parts = [f"{expression(one.column, known, nan=nan)} {directions[one.descending]} NULLS LAST" for one in sort]
     if all(one.column != "name" for one in sort):

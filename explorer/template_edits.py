@@ -78,7 +78,7 @@ def edited_template(store: Store, one: SubclassTemplate, asked: EditRequest) -> 
 
 
 def is_edited(one: SubclassTemplate, asked: EditRequest) -> bool:
-    """Return whether a question changes columns or weights of the template."""
+    """Return whether a request changes columns or weights of the template."""
     columns = len(one.learned.template)
     whole = (asked.first, columns if asked.stop is None else asked.stop) == (0, columns)
     return not whole or any(weight != 1 for weight in asked.weights.values())
@@ -132,7 +132,7 @@ def _value(value: object) -> str:
 
 
 def file_name(template: str) -> str:
-    """Return the name of the file of an edited template, as browsers and commands take it."""
+    """Return a name for the file of an edited template that browsers and commands accept."""
     name = re.sub(r"[^\w.-]", "_", template).lstrip(".-")
     return f"{name or 'template'}.yaml"
 

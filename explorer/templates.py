@@ -1,4 +1,4 @@
-"""The learned templates of a store: the list with their pictures, one with its clips, and what distinguishes two.
+"""The learned templates of a store: a list with pictures, a template with its clips, and the differences of two.
 
 `GET /api/templates?stage=&kind=` → {stages: [name], stage, kind, kinds, templates: [row], delta, annotate, evaluate,
  method, remarks}; a row is {name, class, columns, seconds, clips, wildcards, origin, remarks, tau, picture}, where
@@ -10,7 +10,7 @@
  far: {limit, median, spread} or null, poses, delta, tau, remarks, origin, heading}. A clip is {name, take, take_id,
  start, stop, mirrored, to_others, to_template, far, frames}: the median cost to the other clips
  (`Learned.clip_costs`), the smallest distance of the template within it, and for each column the frame that shows it.
- `poses` is the place of the clip that the template fits best.
+ `poses` is the index of the clip that the template fits best.
 
 `GET /api/templates/difference?stage=&kind=&template=&other=&other_stage=` → {first, second, columns: [[column of the
  first, of the second]], values: [feature][aligned column], the one minus the other, share, features: [{bit, name,
@@ -113,7 +113,7 @@ def picture(values: npt.NDArray[np.float64]) -> str:
 
 
 def describe_template(archive: Archive, request: Request) -> Row:
-    """Return a template with the clips behind it."""
+    """Return a template with the clips that it was learned from."""
     store = archive.store()
     use = use_of(store, request)
     one = template_named(use, request.query_params.get("template", ""))
@@ -149,7 +149,7 @@ def describe_template(archive: Archive, request: Request) -> Row:
 
 
 def template_named(use: TemplateUse, name: str) -> SubclassTemplate:
-    """Return the template of a name; a NotFoundError where the stage has none."""
+    """Return a template by its name; raise a NotFoundError if the stage has none."""
     for one in use.templates:
         if one.subclass == name:
             return one
@@ -197,7 +197,7 @@ def _far(one: SubclassTemplate) -> Row | None:
 
 
 def describe_difference(archive: Archive, request: Request) -> Row:
-    """Return two templates laid along each other, and what distinguishes them."""
+    """Return the alignment of two templates, and the features that distinguish them."""
     store, asked = archive.store(), request.query_params
     use = use_of(store, request)
     other_use = use_of(store, request, "other_stage") if asked.get("other_stage") else use
@@ -296,11 +296,11 @@ class TemplateUse:
     thresholds : dict of str to float
         τ of every class, whether set or calibrated.
     annotate, evaluate : str, optional
-        The stages that annotate with these templates, and that have compared that with ground truth.
+        The stages that annotate with these templates, and that have compared the annotations with ground truth.
     keyframes : str, optional
         The stage that has learned keyframe queries for the annotation.
     remarks : tuple of str
-        What could not be read.
+        Remarks on parameters and classes that could not be read.
     """
 
     stage: str
@@ -382,7 +382,7 @@ def template_use(store: Store, stage: str, kind: Kind | None = None) -> Template
 
 
 def _reader(store: Store, stage: str, uses: str, role: str) -> str | None:
-    """Return the last-run stage of kind `uses` whose input `role` is a stage of the same pipeline, or None."""
+    """Return the last-run stage of kind `uses` that has a given stage as its input `role`; None if there is none."""
     pipeline, _, name = stage.partition("/")
     found = [
         record
