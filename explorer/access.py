@@ -20,7 +20,7 @@ MAX_BYTES = 4 * 2**20
 """The largest body of a request that is accepted, in bytes."""
 
 EVERYWHERE = ("0.0.0.0", "::")
-"""Hosts that stand for every address of this machine."""
+"""Hosts that mean all addresses of this machine."""
 
 LOOPBACK = ("localhost", "127.0.0.1", "::1")
 
@@ -227,7 +227,7 @@ def too_long_response() -> Response:
 
 
 class _Bounded:
-    """The body of a request, which raises TooLongError once it is longer than allowed, whatever Content-Length is."""
+    """The body of a request; it raises TooLongError when it exceeds the limit, even if Content-Length does not."""
 
     def __init__(self, receive: Receive) -> None:
         self._receive = receive

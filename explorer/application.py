@@ -166,7 +166,7 @@ async def _asset(request: Request) -> Response:
 
 
 def _assets(built: Path) -> frozenset[str]:
-    """Return the names of the files of the page: nothing else is served, whatever an address names."""
+    """Return the names of the files of the page; no other file is served."""
     return frozenset(path.name for path in (built / "assets").iterdir())
 
 

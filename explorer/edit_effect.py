@@ -110,7 +110,7 @@ def _divided(costs: tuple[F64, F64] | None) -> Row | None:
 
 
 def _better_threshold(prepared: Prepared, found: Row | None) -> str | None:
-    """Return the option `--set` for thresholds by class if one divides the class's clips far better, else None."""
+    """Return the option `--set` for thresholds by class if such a threshold divides the clips far better; else None."""
     use = prepared.use
     own = use.params.tau == CALIBRATED or prepared.label in use.params.tau_by_class
     if found is None or own or use.annotate is None or not use.uses_thresholds or prepared.training.actors < 2:
@@ -191,7 +191,7 @@ def annotate_class(
     tau : float, optional
         The threshold of the class, where the method has any.
     compete : bool
-        True where the templates of all classes annotate; False where those of the class do so alone.
+        True if the templates of all classes annotate, False if only the templates of the class do.
     progress : Progress
         It advances by a step for each batch of takes.
     """

@@ -1,7 +1,7 @@
 """Make the routes of the server from functions that answer requests; request bodies are parsed and checked first.
 
 A function gets the archive and runs in a thread, so that it may wait for SQL, files and kernels. It returns a mapping,
-which is sent as JSON, or a response of its own. If the page closes the connection or sends another request instead, a
+which is sent as JSON, or a `Response`. If the page closes the connection or sends another request instead, a
 function that only reads is cancelled (`ops.cancellation`).
 
     routes = [get("/api/store", describe), post("/api/takes", find_takes, TakesQuestion)]

@@ -159,7 +159,7 @@ def _all_examples(label: str, among: int) -> str:
 
 
 def evaluated_segments(store: Store, stage: str, label: str) -> Segments:
-    """Return the ground truth of a class by which a stage has evaluated, in every take that it has evaluated."""
+    """Return the ground truth of a class that a stage has evaluated annotations with, in every evaluated take."""
     run = store.manifest.stages[stage].run
     metrics = store.result("metrics", run=run)
     judged = zip(metrics.column("scope").to_pylist(), metrics.column("name").to_pylist(), strict=True)

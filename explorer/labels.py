@@ -135,7 +135,7 @@ class Withdraw(RequestBody):
 
 
 class Decide(RequestBody):
-    """Accept or reject an annotation; `seen` is the label with its class and edges that the page showed."""
+    """Accept or reject an annotation; `seen` is the id of the label of this class and edges that the page showed."""
 
     do: Literal["accept", "reject"]
     id: Id

@@ -233,7 +233,7 @@ def classes_with(classes: Row, names: Sequence[str]) -> str | None:
 
 
 def changes(archive: Archive, _request: Request) -> Row:
-    """Return what the last run changed: annotations that were added, that are gone, and that were moved or renamed."""
+    """Return the changes by the last run: annotations that were added, removed, moved or renamed."""
     last = _last(archive)
     if last is None:
         return {"last": None, "counts": {}, "takes": 0, "total": 0, "rows": []}

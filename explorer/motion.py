@@ -9,7 +9,7 @@ everything little-endian:
     bytes 40 to 47    zero
     from byte 48      int16 (F, J, 3): position = origin + unit * number; −32768 is an unknown coordinate
 
-Every block has an origin and a unit of its own, so that a walk of kilometres is as precise as a step on the spot: the
+Every block has its own origin and unit, so that a walk of kilometres is as precise as a step on the spot: the
 error of a coordinate is at most half a unit. A take is cut into blocks that extend over at most 65 m, so that a unit is
 at most 1 mm; it is larger only where joints of the same frame are farther apart.
 
@@ -173,7 +173,7 @@ def _extent(positions: F32) -> float:
 
 
 def _bounds(positions: npt.NDArray[np.floating]) -> tuple[npt.NDArray[np.floating], npt.NDArray[np.floating]]:
-    """Return the smallest and the largest x, y, z that are known; infinite where none is."""
+    """Return the smallest and the largest known x, y and z; infinite for a coordinate that is never known."""
     # frames first: a pass along the long axis is ten times as fast as one along three numbers
     low = np.fmin.reduce(np.fmin.reduce(positions, 0, initial=np.inf), 0, initial=np.inf)
     return low, np.fmax.reduce(np.fmax.reduce(positions, 0, initial=-np.inf), 0, initial=-np.inf)

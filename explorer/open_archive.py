@@ -123,7 +123,7 @@ class Archive:
         Raises
         ------
         StoreError
-            The folder is gone, or is no store any more.
+            The folder no longer exists, or is no longer a store.
         """
         index = self.path / "index"
         names = [entry.name for entry in index.iterdir()] if index.is_dir() else []

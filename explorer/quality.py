@@ -54,7 +54,7 @@ def quality(archive: Archive, _request: Request) -> dict[str, Any]:
 
 
 def flags(archive: Archive, _request: Request) -> dict[str, Any]:
-    """Return the figures beyond their limits of each take that has any."""
+    """Return, for each take, the figures that are beyond their limits."""
     found = archive.store().answer(_FLAGS, timeout=SQL_SECONDS, max_rows=FLAGS)
     texts: dict[str, list[str]] = {}
     for row in found.table.to_pylist():

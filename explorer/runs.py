@@ -246,7 +246,8 @@ def report_file(archive: Archive, name: str) -> Path:
     Raises
     ------
     NotFoundError
-        No stage of the store has written a file of this name, or the file is gone or leads out of the folder.
+        No stage of the store has written a file of this name, or the file no longer exists, or lies outside of the
+        folder.
     StoreError
         The file has changed since its stage wrote it.
     """

@@ -178,7 +178,7 @@ def _exit(number: int, _frame: FrameType | None) -> None:
 def share_heaps() -> None:
     """Let the threads of this process share two heaps, where the C library is glibc.
 
-    By default glibc gives each thread a heap of its own, and each keeps freed memory in fragments: with an archive of
+    By default glibc gives each thread its own heap, which keeps freed memory in fragments: with an archive of
     100 hours, the memory of a server grew by some 8 MiB with each search.
     """
     if sys.platform == "linux":

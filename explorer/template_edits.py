@@ -59,7 +59,7 @@ class Edit:
     template : bool
         True where it differs from the learned one.
     tau : float
-        The threshold of the request if it has one, else that of the pipeline.
+        The threshold of the request; by default, the threshold of the pipeline.
     """
 
     one: SubclassTemplate
@@ -118,7 +118,7 @@ def _pipeline_command(archive: Archive, use: TemplateUse, label: str, file: str 
 
 
 def _shipped_name(path: str) -> str:
-    """Return the name of a pipeline that kinedex ships, else its path."""
+    """Return the name of a pipeline if kinedex ships it; otherwise return its path."""
     name = Path(path).stem
     try:
         return name if config_path("pipelines", name) == Path(path) else path

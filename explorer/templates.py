@@ -290,7 +290,7 @@ class TemplateUse:
     templates : tuple of SubclassTemplate
         The templates of this kind, sorted by name.
     classes : Classes
-        The classes that the pipeline annotates with; every template is a class of its own where it does not annotate.
+        The classes that the pipeline annotates with; if it does not annotate, every template is a class.
     params : AnnotationParameters
         The parameters of its annotation; the defaults if it does not annotate.
     thresholds : dict of str to float

@@ -253,7 +253,7 @@ def _done(batch: Batch, job: Job, frames: pa.Table | None) -> Done:
 
 
 class UnwritableError(KinedexError):
-    """The disk refuses to write a file, whatever its content."""
+    """A file cannot be written to the disk, for a reason that other files share, such as a full disk."""
 
 
 def write_files(batch: Batch, job: Job, paths: Sequence[Path], frames: pa.Table | None) -> None:

@@ -34,9 +34,9 @@ class Clip:
     start, stop : int
         The frames of the clip: the interval with its margins, in analysis frames of the take.
     first, last : int
-        The frames [first, last) in the file: those of the clip, with their context.
+        The frames [first, last) in the file: those from `start` to `stop`, with the context before and after.
     label : str or None
-        The class; for a mirrored clip, that of the other side.
+        The class; for a mirrored clip, the class of the mirrored motion.
     mirrored : bool
         True for a copy with left and right exchanged.
     folder : str

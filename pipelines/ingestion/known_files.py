@@ -53,7 +53,7 @@ class TakeNames:
     naming : {"stem", "path", "file"}
         The rule for new names.
     owners : mapping of str to str
-        The names that are in use, each with the path of its file; an empty path stands for files elsewhere.
+        The names that are in use, each with the path of its file below the source; empty for a file elsewhere.
     """
 
     def __init__(self, naming: Naming, owners: Mapping[str, str]) -> None:

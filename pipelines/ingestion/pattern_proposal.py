@@ -187,7 +187,7 @@ def _numbered(stem: str) -> list[str]:
 def _with_free_field(by_count: dict[int, list[str]], separator: str) -> Layout | None:
     """Return a layout in which one field contains separators itself; None if the names have no fields in common.
 
-    The other fields, counted from both ends, have common values whatever the number of fields.
+    The other fields, counted from both ends, must have common values in paths with different numbers of fields.
     """
     groups = [[stem_of(path).split(separator) for path in paths] for paths in by_count.values()]
     least = min(by_count)
@@ -403,7 +403,7 @@ def _has(word: str, known: frozenset[str]) -> bool:
 
 
 def _class(layout: Layout, plain: Sequence[int]) -> int | None:
-    """Return the column of motion classes: the one with most words for motions, else with most repeated values."""
+    """Return the index of the column of classes: that with most words for motions, or with most repeated values."""
     texts = [number for number in plain if not layout.columns[number].is_number]
     texts = [number for number in texts if not layout.columns[number].prefix or layout.columns[number].free]
     columns = layout.columns

@@ -36,7 +36,7 @@ CACHED_BYTES = 256 * 2**20
 """The largest size, in bytes, of the cache of poses."""
 
 _FRAMES = (("root", "lhip", "rhip"), ("neck", "lshoulder", "rshoulder"))
-"""The joints that define the position and direction of poses: those of the pelvis, else those of the shoulders."""
+"""The joints that define position and direction of poses: those of the pelvis, or of the shoulders if these lack."""
 
 
 Candidate = tuple[int, int, int, bool]
@@ -141,7 +141,7 @@ def _same_files(store: Snapshot) -> tuple[list[dict[str, Any]], list[str]]:
 
 
 def _same_motions(store: Snapshot, names: list[str], progress: Progress) -> list[dict[str, Any]]:
-    """Return the rows of those of the given takes that contain the same motion."""
+    """Return the rows of pairs among the given takes that contain the same motion."""
     words = store.words([store.take_id(name) for name in names])
     ordered = [store.take_names[take_id] for take_id in words.take_ids.tolist()]
     found = _candidates(store, words, progress)
@@ -177,7 +177,7 @@ def _candidates(store: Snapshot, words: TakeWords, progress: Progress) -> list[C
 
 
 def _blocks(found: Sequence[Candidate], sizes: I64) -> Iterator[list[Candidate]]:
-    """Yield alignments in groups between two blocks of takes; the poses of a block have at most `HELD_BYTES`."""
+    """Yield groups of alignments, each between two blocks of takes; the poses of a block have at most `HELD_BYTES`."""
     number = ((np.cumsum(sizes) - sizes) // HELD_BYTES).tolist()
 
     def blocks(one: Candidate) -> tuple[int, int]:

@@ -225,7 +225,7 @@ def _raw_scene(found: Inspection, scene: SceneFigure, file: Path) -> _Skeleton:
 
 
 def _raw_poses(found: Inspection, file: Path, given: ReadSettings) -> _Skeleton:
-    """Add the facts about a file of joint angles, and return its joints, which are those of the body model if given."""
+    """Add the facts about a file of joint angles, and return its joints, or those of the given body model."""
     poses = parse_amass(file)
     names = poses.names if given.body_model is None else load_body_model(given.body_model, poses.gender).names
     _add_nodes(found, names)

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from kinedex.ops.arrays import F64
 
 LEFT, RIGHT, MIDDLE = "#1f6fc4", "#d1495b", "#3c3c3c"
-"""Colours of bones by the side of the body; bones of unknown side have that of the middle."""
+"""Colours of bones by the side of the body; bones of unknown side have the colour of the middle."""
 
 
 @dataclass(frozen=True)

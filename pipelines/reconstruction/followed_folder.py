@@ -98,8 +98,8 @@ def follow_folder(
 ) -> Iterator[FollowedFrame]:
     """Yield the frames of a folder by ascending numbers, first the existing ones and then new ones as they appear.
 
-    A file without a number in its name, or with a number not above that of the file before, is skipped; the first
-    file of each kind is reported.
+    A file is skipped if its name has no number, or a number that is not above the number before. The first file of
+    each of these two kinds is reported.
 
     Parameters
     ----------

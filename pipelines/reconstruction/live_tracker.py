@@ -329,7 +329,7 @@ class LiveRecording:
 
     @property
     def recording(self) -> str:
-        """The name of the recording: that of the folder, without characters that names must not have."""
+        """The name of the recording: the name of the folder without characters that are not allowed in names."""
         return re.sub(r"[^\w .+-]", "_", self.folder.resolve().name)[:_MAX_LETTERS].lstrip(" .+-") or "camera"
 
     @property

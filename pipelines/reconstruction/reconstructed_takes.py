@@ -46,7 +46,7 @@ RECONSTRUCTION_KINDS = ("reconstructions", "reconstruction_frames", "depth_votes
 _PIECE_ROWS = 5000
 
 SKELETON = "depth"
-"""The name that reconstructed takes have in place of a skeleton mapping."""
+"""The value of the column `skeleton` of reconstructed takes, which have no skeleton mapping."""
 
 EXPLAINED = (
     "take", "source_frame", "direction", "hypothesis", "candidate", "archive_take", "archive_frame", "ends", "ends_m",
@@ -70,7 +70,7 @@ class ReconstructedTake:
     rate_hz : float
         Frames per second.
     recipe : str
-        A hash of everything except its files that determines the take.
+        A hash of everything that determines the take, except its files.
     warnings : tuple of str
         Warnings about the take.
     actor : str, optional
@@ -118,7 +118,7 @@ class ReconstructionResult:
     take_id : int
         Id of the take.
     take, recording : str
-        Its name, and that of the recording.
+        The names of the take and of the recording.
     file : str or None
         The path of the recordings file; None for a live camera.
     params : ReconstructParameters

@@ -120,7 +120,7 @@ def compare_with_truth(
     file : DepthRecordingsFile
         The file of its recording.
     truth : str, optional
-        The truth; by default that of the recording.
+        A take or a motion file; by default the truth that the recording names.
 
     Returns
     -------

@@ -20,7 +20,7 @@ from kinedex.storage.durable_files import whole_file
 from kinedex.storage.formats.motion.acclaim_writer import Dialect, write_amc, write_asf
 
 CLIP_SHARE = 0.50
-"""The fraction of the duration of the archive that is training clips; the rest are long takes."""
+"""The fraction of the archive's duration that training clips take up; long takes take up the other part."""
 LONGEST_TAKE = 150.0
 """Greatest length of a long take in seconds."""
 DEFAULT_SEED = 2026
@@ -112,8 +112,8 @@ def write_archive(
 ) -> ArchiveSummary:
     """Write a synthetic archive: training clips, long takes, and the ground truth of the takes.
 
-    By default half of the duration is clips, with the same number of clips for each motion and actor as far as
-    possible; the rest is takes of at most two and a half minutes. The same settings give the same bytes, whatever the
+    By default, clips take up half of the duration, with the same number of clips for each motion and actor as far as
+    possible, and takes of at most two and a half minutes the other half. The same settings give the same bytes for any
     number of jobs. A complete archive is not changed.
 
     Parameters
@@ -226,7 +226,7 @@ def _write_skeletons(folder: Path, actors: int, seed: int) -> int:
 
 
 def _plan(minutes: float, actors: int, seed: int, clip_minutes: float) -> list[_Task]:
-    """Divide the duration: clips cycle through motions and actors until their share is used; takes use the rest."""
+    """Divide the duration: clips cycle through motions and actors until their share is used; takes fill the other."""
     clips: list[_Task] = []
     left = clip_minutes * 60.0
     number = 0

@@ -95,7 +95,7 @@ class RecordedTake(Protocol):
 
     @property
     def recipe(self) -> str:
-        """A hash of everything except its files that determines the take."""
+        """A hash of everything that determines the take, except its files."""
 
     @property
     def actor(self) -> str | None:

@@ -67,7 +67,7 @@ class Track:
     valid : bool array (T,)
         False in frames within gaps of the observations longer than `UNSEEN_S`.
     recipe : str
-        A hash of everything except its files that determines the track.
+        A hash of everything that determines the track, except its files.
     actor : str, optional
         The actor.
     warnings : tuple of str
@@ -361,12 +361,12 @@ def track_errors(row: dict[str, Any], poses: pa.Table, reference: TruePositions)
     poses : pyarrow.Table
         Its rows of `chain_poses`.
     reference : TruePositions
-        The reference; only frames that both have are compared.
+        The reference; only frames that are common to track and reference are compared.
 
     Raises
     ------
     KinedexError
-        No joint is known in both in any frame.
+        No joint is known in track and reference in any common frame.
     """
     chain = load_kinematic_chain()
     body = ChainBody(chain, np.array(row["body"], np.float64).reshape(-1, 3))

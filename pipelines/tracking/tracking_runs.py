@@ -64,7 +64,7 @@ NO_LOCOMOTION = (
 )
 
 STAGE = "stabilise/stabilise"
-"""The stage of the results: that of the shipped pipeline, so that pipeline and command share results."""
+"""The stage of the results; it is the stage of the shipped pipeline, so that pipeline and command share results."""
 
 
 def observe(writer: StoreWriter, params: ObserveParameters, place: RunContext) -> RecordingOutcome:
@@ -142,7 +142,7 @@ def track(
 
 
 def _named(store: Store, row: dict[str, object]) -> list[object]:
-    """Return checksum and recipe of the takes that a recording names, so that it is tracked again when they change."""
+    """Return checksum and recipe of the takes that a recording names; if these change, it is tracked again."""
     rows = {one["name"]: (one["checksum"], one["recipe"]) for one in store.take_rows.to_pylist()}
     return [rows.get(str(row[key])) for key in ("body", "track")]
 

@@ -346,7 +346,7 @@ def _require_trunk(take: str, positions: F64) -> None:
 
 
 def take_subject(task: StabiliseTask) -> Subject:
-    """Return the observations for stabilising a take: its recording if it was tracked from one, else its own joints."""
+    """Return the observations of a take: those of its recording if it was tracked from one, otherwise its joints."""
     row = tracked_row(task.store, task.of)
     if row is None:
         return track_subject(task.store, task.of, task.body, task.mean, task.sigma_m)
