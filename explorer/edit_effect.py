@@ -189,7 +189,7 @@ def annotate_class(
     one : SubclassTemplate
         The template, edited or not.
     tau : float, optional
-        The threshold of the class, where the method has any.
+        The threshold of the class, if the method uses thresholds.
     compete : bool
         True if the templates of all classes annotate, False if only the templates of the class do.
     progress : Progress

@@ -86,7 +86,7 @@ def post(
                 "this explorer was started with --read-only and writes nothing; start `kinedex explore` without it"
             )
         body = asked.model_validate_json(await request.body())
-        if writes:  # it runs to its end even if the page has gone
+        if writes:  # a request that writes runs to its end even if the page was closed
             return _response(await to_thread.run_sync(function, archive, body, request))
         return _response(await _unless_gone(request, function, archive, body, request))
 

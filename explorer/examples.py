@@ -168,7 +168,7 @@ def describe_hit(archive: Archive, asked: HitRequest, _request: Request) -> dict
     words = stored_words(store, [store.take_ids[take]]).take(0)
     around = round(SHOWN_SECONDS * store.rate_hz)
     first, last = max(0, start - around), min(len(words), stop + around)
-    # a path may begin so far before the first frame that is shown
+    # a path may begin this far before the first frame that is shown
     begin = max(0, first - 2 * len(template))
     curve = distance_curves([template], words[begin:last])[0][first - begin :]
     end = stop - 1

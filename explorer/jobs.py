@@ -47,7 +47,7 @@ END_SECONDS = 20.0
 """Seconds that a stopped job may take to end; then it is killed, and what it has not committed is lost."""
 
 MAX_LOG_BYTES = 200_000
-"""The largest number of bytes of a log that are sent: those at its end; the file has all of them."""
+"""The largest number of bytes that are sent of a log, from its end; the file has the whole log."""
 
 State = Literal["waiting", "running", "done", "failed", "stopped"]
 

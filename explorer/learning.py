@@ -212,7 +212,7 @@ def _put_classes(archive: Archive, store: Store, stages: Row) -> None:
 
 
 def classes_with(classes: Row, names: Sequence[str]) -> str | None:
-    """Return the text of a class file with further subclasses; None where it has them all.
+    """Return the text of a class file with further subclasses; None if the file has all of them.
 
     Parameters
     ----------

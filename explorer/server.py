@@ -43,7 +43,7 @@ def open_socket(host: str, port: int | None) -> socket.socket:
     host : str
         Name or address.
     port : int or None
-        The port; None for `PORT`, or a free one where that is in use.
+        The port; for None, `PORT`, or a free port if that one is in use.
 
     Raises
     ------

@@ -187,7 +187,7 @@ def _clip_row(store: Store, one: SubclassTemplate, clip: StoredClip, cost: float
 
 
 def _far(one: SubclassTemplate) -> Row | None:
-    """Return the numbers of the rule by which a clip counts as far from the others; None without such a rule."""
+    """Return the limit above which a clip is far from the others, with median and spread; None without a limit."""
     costs = one.learned.clip_costs
     limit = far_limit(costs)
     if limit is None:

@@ -252,7 +252,7 @@ def limb_error_labels(
 ) -> list[LabelsOfTake]:
     """Return the runs in which limbs are wrong as labels of the class `error`, for each take; jumps are excluded.
 
-    Limbs without such a run are listed as covered, so that label files show that they were compared.
+    All compared limbs are listed as covered, so that label files also show the limbs without such a run.
 
     Parameters
     ----------

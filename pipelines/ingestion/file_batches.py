@@ -160,8 +160,8 @@ def _analysed(batch: Batch, task: Task) -> _Take | tuple[str, ...]:
 def _read(batch: Batch, task: Task) -> tuple[str, Body | tuple[str, ...]]:
     """Return the checksum of a file and its body, computed from the same bytes.
 
-    A short file is read once; of a longer one it is checked that it has not changed between two reads. If the file has
-    several persons and the task names none, their names are returned instead of a body.
+    A short file is read once. A longer file is read twice, and must not change in between. If the file has several
+    persons and the task names none, their names are returned instead of a body.
     """
     motion, asf = task.motion.absolute, task.skeleton.absolute if task.skeleton is not None else None
     before = _stamp(motion)

@@ -205,7 +205,7 @@ class KnownFile:
         content : FileContent
             The file as it is now.
         is_made_so : callable
-            Returns whether a take was made as it would be made now.
+            Returns whether a take, given by its row, has the recipe that it would have if it were read now.
         damaged : collection of int
             The ids of takes whose part of the store is damaged.
 
@@ -305,11 +305,11 @@ class KnownFiles:
                 if elsewhere and file.has_content_of(content):
                     return file
                 if file.root != motion.root and file.path == motion.path:
-                    raise _stranger(file, motion)
+                    raise _name_conflict(file, motion)
         return None
 
 
-def _stranger(file: KnownFile, motion: SourceFile) -> SourceError:
+def _name_conflict(file: KnownFile, motion: SourceFile) -> SourceError:
     """Return the error of a file with the name of an existing take but other content; it must not replace the take."""
     return SourceError(
         motion.absolute,

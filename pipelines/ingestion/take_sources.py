@@ -43,7 +43,7 @@ def known_stages(store: Path) -> dict[str, StageRecord]:
 
 
 def pipeline_text(records: dict[str, StageRecord], pipeline: str) -> str:
-    """Return the text of a pipeline file with the stages of a pipeline and the parameters that they were given."""
+    """Return the text of a pipeline file with the stages of a pipeline and the parameters that were given to them."""
     stages = {
         key.partition("/")[2]: {name: record.summary[name] for name in ("uses", "inputs")}
         # records of format 3 do not tell given parameters from defaults

@@ -36,7 +36,7 @@ CACHED_BYTES = 256 * 2**20
 """The largest size, in bytes, of the cache of poses."""
 
 _FRAMES = (("root", "lhip", "rhip"), ("neck", "lshoulder", "rshoulder"))
-"""The joints that define position and direction of poses: those of the pelvis, or of the shoulders if these lack."""
+"""The joints that define position and direction of poses: those of the pelvis, or otherwise of the shoulders."""
 
 
 Candidate = tuple[int, int, int, bool]

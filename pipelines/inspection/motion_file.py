@@ -99,7 +99,7 @@ def inspect_file(
     given: ReadSettings = DEFAULT_SETTINGS,
     person: str = "",
 ) -> Inspection:
-    """Collect the facts about a motion file, as far as they are known if it cannot be read.
+    """Collect the facts about a motion file; if it cannot be read, those that are known before the error.
 
     Parameters
     ----------
