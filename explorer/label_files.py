@@ -103,7 +103,7 @@ def import_files(archive: Archive, asked: ImportRequest, _request: Request) -> R
 
 
 def _files(asked: FilesRequest) -> tuple[list[LabelFile], str]:
-    """Read the files, and return them with a checksum of what they state."""
+    """Read the files, and return them with a checksum of their content."""
     refuse_addresses(asked.paths)
     paths = [Path(one).expanduser() for one in asked.paths]
     missing = next((path for path in paths if not path.exists()), None)

@@ -97,7 +97,7 @@ class MapRun:
 
 
 def _compute(pipe: Connection, path: Path, version: int, unit: Unit) -> None:
-    """Compute a map, and send its progress and the map, or the error for which there is none."""
+    """Compute a map, and send its progress and the map, or the error that has prevented it."""
     if hasattr(os, "nice"):
         os.nice(NICE)
     try:

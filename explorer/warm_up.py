@@ -23,8 +23,8 @@ if TYPE_CHECKING:
 _LOG = logging.getLogger("kinedex.explorer")
 
 MAX_CHECKED = 8_000_000_000
-"""Maximum number of bytes of frame files that are verified ahead; in a larger archive, each is verified when it is
-first read.
+"""Maximum number of bytes of frame files that are verified in advance; in a larger archive, each file is verified when
+it is first read.
 """
 
 EXAMPLE_FRAMES = 60

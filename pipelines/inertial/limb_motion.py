@@ -126,7 +126,7 @@ def _orientation(
 
 
 def _missing(limb: Limb, positions: dict[str, F64], estimated: Sequence[str]) -> str:
-    """Return the reason why a limb has not even a direction; empty if it has one."""
+    """Return the reason why the direction of a limb is unknown; empty if it is known."""
     for joint in (limb.near, limb.far):
         if joint not in positions:
             return f"the skeleton has no {joint}"

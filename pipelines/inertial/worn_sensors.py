@@ -222,7 +222,7 @@ class WornTakes:
 
     @classmethod
     def of(cls, context: StageContext, store: Store) -> WornTakes:
-        """Return the takes whose limbs, with simulated errors if there are any, and sensors are inputs of a stage."""
+        """Return the takes of the limbs and sensors that are inputs of a stage; limbs with errors take precedence."""
         limbs = context.inputs.get("broken", context.inputs["limbs"])
         return cls(store, context.key(limbs), context.key(context.inputs["sensors"]))
 
