@@ -36,15 +36,15 @@ from kinedex.explorer.endpoints import get
 from kinedex.explorer.open_archive import Archive
 from kinedex.ops.errors import KinedexError, ParameterError
 from kinedex.ops.intervals import in_seconds, shown_seconds
+from kinedex.ops.templates.clip_checks import far_limit
 from kinedex.ops.templates.derived_templates import Contrast, consistency, contrast
 from kinedex.ops.templates.templates import Kind, Template, quantise
 from kinedex.ops.wording import counted
 from kinedex.pipelines.annotation.annotation_setup import annotation_classes
 from kinedex.pipelines.annotation.parameters import DEFAULT_TAU, AnnotationParameters
-from kinedex.pipelines.templates.clip_checks import far_limit
 from kinedex.pipelines.templates.stored_clips import StoredClip, poses_of_columns, stored_clips, template_costs
 from kinedex.pipelines.templates.stored_templates import SubclassTemplate, template_of
-from kinedex.pipelines.templates.template_text import contrast_lines, template_heading
+from kinedex.reports.template_text import contrast_lines, template_heading
 from kinedex.storage.snapshot.visible_results import all_parts, pipeline_of, shown_parts
 from kinedex.storage.store.store import Store
 

@@ -10,10 +10,9 @@ from dataclasses import dataclass
 from jinja2 import Environment
 from markupsafe import Markup
 
+from kinedex.ops.evaluation.confusion import confusion
 from kinedex.ops.intervals import TakeSegment
 from kinedex.ops.wording import counted, two_digits
-from kinedex.pipelines.evaluation.confusion import confusion
-from kinedex.pipelines.evaluation.folds import TestTake
 from kinedex.reports.archive_strip import archive_strip
 from kinedex.reports.cards import Card, card, readable, rules
 from kinedex.reports.embedded_motions import EmbeddedMotions, motions_json, script_json
@@ -218,15 +217,14 @@ def confusion_of(data: ReportData, labels: Sequence[str]) -> ConfusionTable | No
     judged = set(data.take_scores()) | {one.take for one in data.manual}
     automatic, manual = by_take(data.automatic), by_take(data.manual)
     takes = [
-        TestTake(take.name, take.group, (), take.frames, tuple(manual.get(take.name, ())))
+        (take.frames, manual.get(take.name, []), automatic.get(take.name, []))
         for take in data.takes
         if take.name in judged
     ]
     if not takes or not data.manual:
         return None
-    outcome = {take.name: automatic.get(take.name, []) for take in takes}
     numbers = {label: place + 1 for place, label in enumerate(labels)}
-    return confusion_table(confusion(outcome, takes, labels), numbers)
+    return confusion_table(confusion(takes, labels), numbers)
 
 
 def timelines_of(

@@ -9,10 +9,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from kinedex.ops.arrays import I64
+from kinedex.ops.evaluation.confusion import Confusion
 from kinedex.ops.evaluation.metrics import Counts
 from kinedex.ops.intervals import TakeSegment, in_seconds, shown_seconds
 from kinedex.pipelines.evaluation.comparison_results import Threshold
-from kinedex.pipelines.evaluation.confusion import Confusion
 from kinedex.pipelines.evaluation.folds import TestTake
 from kinedex.pipelines.evaluation.method_scores import Outcome
 from kinedex.reports.plots import Axis, HistogramBar, histogram, line_path, percent, time_axis

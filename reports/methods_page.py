@@ -29,8 +29,9 @@ from kinedex.pipelines.evaluation.comparison_tables import (
     six_measures,
     split_description,
 )
-from kinedex.pipelines.evaluation.differences import HEADER, VERDICTS, Comparison, remarks, settings, signed_difference
+from kinedex.pipelines.evaluation.differences import Comparison
 from kinedex.pipelines.templates.stored_clips import Key
+from kinedex.reports.difference_tables import HEADER, VERDICTS, remarks, settings, signed_difference
 from kinedex.reports.embedded_motions import Embed, EmbeddedMotions, embed, motions_json
 from kinedex.reports.example_motions import with_study
 from kinedex.reports.method_figures import (

@@ -10,11 +10,11 @@ import numpy as np
 from kinedex.catalog.classes import load_classes
 from kinedex.ops.arrays import I64
 from kinedex.ops.evaluation.metrics import Counts, compare
+from kinedex.ops.keyframes.margins import hit_ranges
 from kinedex.ops.words import TakeWords
 from kinedex.pipelines.annotation.annotators import make_annotator
 from kinedex.pipelines.annotation.batches import annotate_words
 from kinedex.pipelines.engine.executors import Executor
-from kinedex.pipelines.keyframes.margins import hit_ranges
 from kinedex.pipelines.keyframes.query_learning import Outcome, keyframe_queries
 from kinedex.pipelines.templates.template_learning import TrainingClips, learn_templates
 from kinedex.storage.store.store import Store

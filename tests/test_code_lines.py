@@ -7,7 +7,7 @@ from pathlib import Path
 
 from tests.code_lines import PRODUCT, ROOT, code_lines, lines_of, modules
 
-MOST_LINES = 22_600
+MOST_LINES = 22_150
 """Lines of code of `pipelines`; it was to be 22,000, and may only shrink until it is."""
 
 MOST_FOLDERS, MOST_PARAMETERS = 14, 8

@@ -32,7 +32,7 @@ def list_(
     as_json: JsonOption = False,
 ) -> None:
     """List the pipeline runs of a store and what each changed."""
-    from kinedex.pipelines.engine.run_overview import runs_table
+    from kinedex.console.run_overview import runs_table
     from kinedex.storage.store.history import history_problems, list_runs
 
     every = list_runs(store)
@@ -55,7 +55,7 @@ def list_(
 @command(of=history)
 def show(store: StorePath, run: RunArgument, as_json: JsonOption = False) -> None:
     """Show everything that is known about a pipeline run."""
-    from kinedex.pipelines.engine.run_overview import (
+    from kinedex.console.run_overview import (
         find_run,
         previous_runs,
         results_of,
@@ -97,8 +97,8 @@ def export(
 
     All settings are in the file.
     """
+    from kinedex.console.run_overview import find_run
     from kinedex.pipelines.engine.run_file import changed_defaults, export_run
-    from kinedex.pipelines.engine.run_overview import find_run
     from kinedex.storage.store.history import list_runs
 
     found = find_run(list_runs(store), run, store)

@@ -282,14 +282,9 @@ def compare(
     """
     from kinedex.console.terminal import Terminal, make_console
     from kinedex.pipelines.engine.page_files import write_page
-    from kinedex.pipelines.evaluation.differences import (
-        compare_evaluations,
-        comparison_tables,
-        comparisons_json,
-        markdown,
-        without_repeats,
-    )
+    from kinedex.pipelines.evaluation.differences import compare_evaluations, comparisons_json, without_repeats
     from kinedex.pipelines.evaluation.written_evaluations import paired_evaluations, read_evaluations
+    from kinedex.reports.difference_tables import comparison_tables, markdown
     from kinedex.reports.methods_page import comparison_page
     from kinedex.storage.formats.json_text import json_text
 

@@ -221,8 +221,8 @@ def show(
     from kinedex.console.terminal import make_console
     from kinedex.ops.templates.templates import NamedTemplate
     from kinedex.pipelines.templates.stored_templates import choose_template, write_template
-    from kinedex.pipelines.templates.template_text import template_heading, template_lines
     from kinedex.reports.matrix_figures import template_figure, write_figure
+    from kinedex.reports.template_text import template_heading, template_lines
 
     pages.check()
     opened = open_for_reading(store, at)
@@ -269,8 +269,8 @@ def diff(
     from kinedex.console.terminal import make_console
     from kinedex.ops.templates.derived_templates import contrast
     from kinedex.pipelines.templates.stored_templates import choose_template
-    from kinedex.pipelines.templates.template_text import contrast_lines
     from kinedex.reports.matrix_figures import contrast_figure, write_figure
+    from kinedex.reports.template_text import contrast_lines
 
     opened = open_for_reading(store, at)
     names = (first, second)

@@ -24,7 +24,7 @@ from kinedex.pipelines.templates.template_learning import (
     learned_template,
     usable_clips,
 )
-from kinedex.pipelines.templates.template_text import contrast_lines, template_heading
+from kinedex.reports.template_text import contrast_lines, template_heading
 
 if TYPE_CHECKING:
     import polars as pl

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import math
 
+from kinedex.ops.evaluation.confusion import EXTRA, LACKING, confusions
 from kinedex.ops.evaluation.metrics import Counts
 from kinedex.ops.intervals import shown_seconds
 from kinedex.ops.wording import counted, two_digits
 from kinedex.pipelines.engine.display import Line, ResultTable
 from kinedex.pipelines.evaluation.annotation_scores import F_FRAMES, F_SEGMENTS, MEASURES, THESIS_NAMES
 from kinedex.pipelines.evaluation.comparison_results import SplitResult, Study, boundary_summary
-from kinedex.pipelines.evaluation.confusion import EXTRA, LACKING, confusions
 from kinedex.pipelines.evaluation.markdown import grid, plain
 from kinedex.pipelines.evaluation.method_scores import MethodScores, SegmentOutcome
 

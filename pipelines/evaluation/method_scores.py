@@ -10,6 +10,7 @@ from operator import attrgetter
 import numpy as np
 
 from kinedex.ops.arrays import I64
+from kinedex.ops.evaluation.confusion import Confusion, confusion
 from kinedex.ops.evaluation.detection import (
     THRESHOLDS,
     average_precision,
@@ -20,7 +21,6 @@ from kinedex.ops.evaluation.detection import (
 from kinedex.ops.evaluation.metrics import Counts, compare, pooled
 from kinedex.ops.intervals import TakeSegment
 from kinedex.pipelines.evaluation.annotation_scores import MEASURES
-from kinedex.pipelines.evaluation.confusion import Confusion, confusion
 from kinedex.pipelines.evaluation.folds import TestTake
 
 Outcome = Mapping[str, Sequence[TakeSegment]]
@@ -149,7 +149,7 @@ def score_method(
         {name: bootstrap(attrgetter(name), every, draws=draws) for name in MEASURES},
         {threshold: _mean([class_precision[label][threshold] for label in labels]) for threshold in THRESHOLDS},
         class_precision,
-        confusion(outcome, test_takes, labels),
+        confusion([(one.frames, one.truth, outcome[one.name]) for one in test_takes], labels),
         _boundaries(outcome, test_takes, labels),
         {threshold: _mean([one[threshold] for one in joined_class_precision]) for threshold in THRESHOLDS},
         _boundaries(*one_piece, labels),

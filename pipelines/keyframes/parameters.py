@@ -8,10 +8,10 @@ from pydantic import ConfigDict, Field
 
 from kinedex.catalog.classes import OWN
 from kinedex.ops.keyframes.consensus import AtLeast
+from kinedex.ops.keyframes.margins import Margins
 from kinedex.ops.keyframes.training_task import MAX_KEYFRAMES, EvolutionSettings
 from kinedex.pipelines.engine.file_parameters import NamesFile
 from kinedex.pipelines.keyframes.learning_runs import GROUP, PATIENCE, SETTLED, Rounds
-from kinedex.pipelines.keyframes.margins import Margins
 from kinedex.pipelines.keyframes.query_learning import Learner, LearningSettings, allowed_features
 from kinedex.pipelines.templates.examples import ExampleParameters
 from kinedex.storage.store.store import Store

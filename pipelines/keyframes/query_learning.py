@@ -21,6 +21,7 @@ from kinedex.ops.keyframes.consensus import AtLeast, Consensus, find_consensus
 from kinedex.ops.keyframes.fitness import training_frames
 from kinedex.ops.keyframes.genetic_algorithm import evolve, random_search
 from kinedex.ops.keyframes.greedy_selection import forward_selection
+from kinedex.ops.keyframes.margins import Margins, clips_hit, margins_of
 from kinedex.ops.keyframes.training_task import (
     EvolutionSettings,
     Individual,
@@ -32,7 +33,6 @@ from kinedex.ops.keyframes.training_task import (
 from kinedex.ops.templates.templates import QuantisedTemplate, learn_soft, quantise
 from kinedex.ops.words import ALL_KNOWN, U64
 from kinedex.pipelines.engine.code_digest import code_digest
-from kinedex.pipelines.keyframes.margins import Margins, clips_hit, margins_of
 from kinedex.pipelines.templates.examples import Rejected
 from kinedex.pipelines.templates.template_learning import TrainingClips
 

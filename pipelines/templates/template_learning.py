@@ -14,13 +14,13 @@ import pyarrow as pa
 
 from kinedex.ops.arrays import F64
 from kinedex.ops.errors import KinedexError
+from kinedex.ops.templates.clip_checks import clip_remarks
 from kinedex.ops.templates.derived_templates import without_unknown
 from kinedex.ops.templates.templates import MAX_AVERAGED, REFERENCES, LearnedTemplate, NamedTemplate, Spread, learn
 from kinedex.ops.templates.templates import Kind as Kind
 from kinedex.ops.wording import name_list
 from kinedex.ops.words import ALL_KNOWN, NO_WORD, U64, known_bits
 from kinedex.pipelines.engine.executors import Executor
-from kinedex.pipelines.templates.clip_checks import clip_remarks
 from kinedex.pipelines.templates.examples import Example, example_words, whole_takes
 from kinedex.pipelines.templates.stored_templates import LEARNED_ORIGIN as LEARNED
 from kinedex.pipelines.templates.stored_templates import SubclassTemplate as SubclassTemplate

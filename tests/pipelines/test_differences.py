@@ -19,10 +19,10 @@ from kinedex.pipelines.evaluation.differences import (
     _difference_of,
     compare_evaluations,
     comparisons_json,
-    markdown,
     without_repeats,
 )
 from kinedex.pipelines.evaluation.written_evaluations import MethodEvaluation, paired_evaluations, read_evaluations
+from kinedex.reports.difference_tables import markdown
 from kinedex.reports.methods_page import comparison_page
 from kinedex.storage.snapshot.manifest import StageRecord
 from kinedex.storage.store.writer import StoreWriter

@@ -18,10 +18,10 @@ from rich.console import Console
 from typer.testing import CliRunner
 
 from kinedex.commands.cli import app
+from kinedex.console.run_overview import find_run, previous_runs, run_changes
 from kinedex.console.terminal import Terminal
 from kinedex.ops.errors import KinedexError
 from kinedex.pipelines.engine.run_file import export_run, run_file
-from kinedex.pipelines.engine.run_overview import find_run, previous_runs, run_changes
 from kinedex.pipelines.engine.runner import StageFailed, run_pipeline
 from kinedex.pipelines.ingestion.store_repair import repair_store
 from kinedex.storage.store.garbage_collection import collect_garbage

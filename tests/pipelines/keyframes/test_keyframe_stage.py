@@ -18,6 +18,7 @@ from kinedex.catalog.queries.query_writer import write_queries
 from kinedex.commands.cli import app
 from kinedex.ops.errors import KinedexError
 from kinedex.ops.keyframes.genetic_algorithm import BETA
+from kinedex.ops.keyframes.margins import hit_ranges
 from kinedex.ops.keyframes.training_task import OFFSPRING, PARENTS
 from kinedex.ops.words import NO_WORD, TakeWords
 from kinedex.pipelines.engine.config import load_pipeline
@@ -25,7 +26,6 @@ from kinedex.pipelines.keyframes import learning_runs as keyframe_runs
 from kinedex.pipelines.keyframes import parameters as keyframe_parameters
 from kinedex.pipelines.keyframes import query_learning
 from kinedex.pipelines.keyframes.learning_runs import known_runs, outcomes_of
-from kinedex.pipelines.keyframes.margins import hit_ranges
 from kinedex.pipelines.keyframes.parameters import KeyframeParameters
 from kinedex.pipelines.keyframes.preselected_frames import preselect, template_window
 from kinedex.pipelines.keyframes.query_learning import allowed_features, every_query, keyframe_queries, training_sets

@@ -6,8 +6,8 @@ import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
 
+from kinedex.ops.keyframes.margins import ALONE, clips_hit, margins_of
 from kinedex.ops.keyframes.training_task import Individual
-from kinedex.pipelines.keyframes.margins import ALONE, clips_hit, margins_of
 
 FEATURES = 3
 

@@ -6,9 +6,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from kinedex.ops.evaluation.confusion import EXTRA, LACKING, NOTHING, Confusion, confusion, confusions
 from kinedex.ops.intervals import TakeSegment
-from kinedex.pipelines.evaluation.confusion import EXTRA, LACKING, NOTHING, Confusion, confusion, confusions
-from kinedex.pipelines.evaluation.folds import TestTake
 from tests.oracles import confusion as oracle
 
 Spans = list[tuple[str, int, int]]
@@ -18,8 +17,8 @@ NAMES = ("a", "b", NOTHING, EXTRA)
 
 
 def of(mine: Spans, true: Spans, names: tuple[str, ...], frames: int) -> Confusion:
-    test_take = TestTake("t", "g", (1,), frames, tuple(TakeSegment("t", *one) for one in true))
-    return confusion({"t": [TakeSegment("t", *one) for one in mine]}, [test_take], names)
+    manual, automatic = ([TakeSegment("t", *one) for one in side] for side in (true, mine))
+    return confusion([(frames, manual, automatic)], names)
 
 
 def table(found: Confusion) -> dict[tuple[str, str], float]:

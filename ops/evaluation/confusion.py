@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 from kinedex.ops.arrays import F64, Bool
 from kinedex.ops.intervals import TakeSegment
-from kinedex.pipelines.evaluation.folds import TestTake
+
+LabelledTake = tuple[int, Sequence[TakeSegment], Sequence[TakeSegment]]
+"""The number of frames of a take, its manual segments, and its automatic segments."""
 
 NOTHING = "no label"
 """The name of the row of frames without a manual label, and of the column of frames without an automatic label."""
@@ -62,26 +64,21 @@ class ConfusedClass:
     share: float
 
 
-def confusion(
-    outcome: Mapping[str, Sequence[TakeSegment]], test_takes: Sequence[TestTake], classes: Sequence[str]
-) -> Confusion:
+def confusion(takes: Iterable[LabelledTake], classes: Sequence[str]) -> Confusion:
     """Count the frames of all takes by their manual and automatic labels.
 
     Parameters
     ----------
-    outcome : mapping of str to sequence of TakeSegment
-        The automatic segments of each take, by its name.
-    test_takes : sequence of TestTake
-        The takes with their ground truth.
+    takes : iterable of (int, sequence of TakeSegment, sequence of TakeSegment)
+        The number of frames of each take, its manual segments, and its automatic segments.
     classes : sequence of str
         All classes among the manual and automatic labels.
     """
     place = {label: index for index, label in enumerate(classes)}
     size = len(classes)
     frames = np.zeros((size + 2, size + 2))
-    for test_take in test_takes:
-        true, mine = (_marked(segments, place, test_take) for segments in (test_take.truth, outcome[test_take.name]))
-        frames += _of_take(true, mine)
+    for length, manual, automatic in takes:
+        frames += _of_take(_marked(manual, place, length), _marked(automatic, place, length))
     return Confusion(tuple(classes), frames)
 
 
@@ -104,9 +101,9 @@ def _of_take(true: Bool, mine: Bool) -> F64:
     return frames
 
 
-def _marked(segments: Sequence[TakeSegment], place: Mapping[str, int], test_take: TestTake) -> Bool:
-    """Return the frames labelled with each class, bool (classes, L)."""
-    marked = np.zeros((len(place), test_take.frames), np.bool_)
+def _marked(segments: Sequence[TakeSegment], place: Mapping[str, int], length: int) -> Bool:
+    """Return for each class the frames that segments label with it, bool (C, L)."""
+    marked = np.zeros((len(place), length), np.bool_)
     for one in segments:
         marked[place[one.label], one.start : one.stop] = True
     return marked

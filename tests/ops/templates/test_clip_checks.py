@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from kinedex.pipelines.templates.clip_checks import clip_remarks, far_clips
+from kinedex.ops.templates.clip_checks import clip_remarks, far_clips
 
 
 def test_nothing_is_said_of_clips_that_are_alike():
