@@ -65,7 +65,7 @@ def _setting(value: object) -> str:
 
 
 def remarks(one: Comparison) -> list[str]:
-    """Return remarks on what did not change, and on what could not be compared."""
+    """Return remarks on classes and takes that did not change, and on those that could not be compared."""
     texts = []
     for what, other in (("takes", one.other_truth.takes), ("classes", one.other_truth.classes)):
         if other:

@@ -76,7 +76,7 @@ def weights_line(weights: Sequence[float], features: FeatureSet) -> str:
 
 
 def convergence_text(costs: tuple[float, ...]) -> str:
-    """Return the largest cost between two clips for each round, and whether it converged."""
+    """Return the largest cost between two clips after each round of averaging, and whether the rounds converged."""
     end = "settled" if costs[-1] < CONVERGED else "no longer changed, or stopped"
     return f"{' → '.join(f'{cost:.3f}' for cost in costs)} ({end})"
 

@@ -74,7 +74,7 @@ def run_changes(run: PipelineRun, before: PipelineRun | None) -> list[str]:
 
 
 def _follows(reason: str, stages: set[str]) -> bool:
-    """Return whether a stage ran only because another one of the run did."""
+    """Return whether a stage ran only because another stage of the run did."""
     return reason.endswith(" runs") and reason.removesuffix(" runs") in stages
 
 

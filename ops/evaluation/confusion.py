@@ -29,8 +29,9 @@ class Confusion:
 
     The row of a class sums to its manually labelled frames, its column to its automatically labelled frames. Labels
     that a frame has on both sides are right. Each remaining label of the side with fewer is divided equally among the
-    remaining labels of the other side. If one side has no label, the labels of the other count at `NOTHING`, one each
-    (and 1 if neither has one); if it has fewer labels than the other, the surplus counts at `EXTRA` or `LACKING`.
+    remaining labels of the other side. If one side has no label, each label of the other side counts once at `NOTHING`;
+    a frame without any label counts once in the row and column `NOTHING`. If a side has labels, but fewer than the
+    other, the surplus counts at `EXTRA` or `LACKING`.
 
     Attributes
     ----------

@@ -18,7 +18,7 @@ from kinedex.ops.words import TakeWords
 Margins = Literal["learned", "shared"]
 
 ALONE = 3
-"""With shared margins, a query keeps at least one part in this many of the margins that it would have alone."""
+"""With shared margins, each margin keeps at least a fraction of 1 / `ALONE` of the margin of the query alone."""
 
 
 def hit_ranges(words: TakeWords, query: Individual, features: int) -> tuple[I64, I64]:
@@ -52,13 +52,13 @@ def margins_of(
     queries : sequence of Individual
         The queries of one class.
     clips : sequence of uint64 arrays (L,)
-        Its training clips.
+        The training clips of the class.
     features : int
         The number of features.
     policy : {"learned", "shared"}
-        "learned": as far as clips extend beyond their hits, so that each clip with a hit is covered. "shared":
-        the same for all queries together; a frame that one of them covers need not be covered by the others, whose
-        margins keep at least a third.
+        With "learned", margins are as wide as clips extend beyond the hits of each query, so that each clip with a hit
+        is covered. With "shared", they are shortened where a frame is covered by another query as well, at most to a
+        third.
 
     Returns
     -------
@@ -102,8 +102,8 @@ class HitReach:
 def _shared(reached: Sequence[HitReach], learned: Sequence[tuple[int, int]]) -> list[tuple[int, int]]:
     """Shorten the longest margin by one frame, as often as this leaves no frame of a clip uncovered.
 
-    No margin becomes shorter than one part in `ALONE`, because a motion of another person may be found by only one of
-    the queries.
+    No margin becomes shorter than 1 / `ALONE` of its length, because a motion of another person may be found by only
+    one of the queries.
     """
     margins = [list(pair) for pair in learned]
     wanted = _covered_by(reached, margins)

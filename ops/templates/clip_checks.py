@@ -9,18 +9,18 @@ import numpy as np
 from kinedex.ops.wording import name_list
 
 FEW = 3
-"""The number of clips below which they hardly show which features vary."""
+"""The number of clips below which the clips of a class hardly show which features vary."""
 
 UNLIKE_LENGTH = 2.0
-"""Ratio of a clip's length to the median of its class, or the inverse, above which the clip gets a remark.
+"""The ratio of a clip's length to the median of its class, or its inverse, above which the clip gets a remark.
 
 A warping path of a distance curve cannot be stretched further either.
 """
 
 LONELY_TIMES, LONELY_SPREADS, LONELY_EXCESS = 1.5, 5.0, 0.05
-"""Criteria for outliers: multiple of the median cost, median absolute deviations above it, and excess over it.
+"""The criteria for outliers: a multiple of the median cost, median absolute deviations above it, and an excess.
 
-Of the 188 training clips of HDM05 they find four (one jog, two of lying down, one of sneaking).
+Four of the 188 training clips of HDM05 are outliers (one jog, two of lying down, one of sneaking).
 """
 
 
@@ -32,7 +32,7 @@ def clip_remarks(names: Sequence[str], lengths: Sequence[int], costs: Sequence[f
     names : sequence of str
         The names of the clips.
     lengths : sequence of int
-        Their lengths, in frames.
+        The lengths of the clips, in frames.
     costs : sequence of float
         The cost of aligning each clip with the others (`Learned.clip_costs`).
 

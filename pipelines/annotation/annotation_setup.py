@@ -239,7 +239,7 @@ def annotated_classes(store: Store, params: AnnotationParameters, stage: str) ->
     Parameters
     ----------
     store : Store
-        The store that holds its annotations.
+        The store that holds the annotations of the stage.
     params : AnnotationParameters
         The parameters of the stage.
     stage : str

@@ -34,9 +34,9 @@ def takes_table(
     run : str
         The id of the run.
     searched : mapping of int to float
-        For each take_id the fraction of its frames that a template was matched in, on average.
+        The fraction of the frames of each take in which a template was matched, averaged over templates, by take_id.
     prints : mapping of int to str, optional
-        For each take_id the fingerprint by which a later run finds its annotation up to date.
+        The fingerprint of each take, by take_id. A later run keeps the annotation of a take with the same fingerprint.
     """
     ids = takes.sort("name")["take_id"].to_list()
     columns = takes.sort("name").select(
@@ -58,8 +58,8 @@ def annotation_stage(store: Store, wanted: str | None = None) -> str:
     store : Store
         The store to read.
     wanted : str, optional
-        "<pipeline>/<stage>", the name of the pipeline, or the id of the run; the stage of the pipeline whose
-        annotations the view `annotations` shows by default.
+        "<pipeline>/<stage>", the name of the pipeline, or the id of the run; by default, the stage of the pipeline
+        that the view `annotations` shows.
 
     Returns
     -------

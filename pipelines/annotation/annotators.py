@@ -46,7 +46,7 @@ class Annotator:
     templates : tuple of QuantisedTemplate, length S
         The templates that distance curves are computed with.
     queries : tuple of tuple of KeyframeQuery, length S
-        The queries that preselect frames for each template; none for all frames.
+        The queries that preselect frames for each template. A template without queries is matched in all frames.
     method : AnnotationMethod
         The method that labels frames.
     min_frames : int
@@ -97,11 +97,11 @@ class Annotator:
         Returns
         -------
         Annotator or None
-            Templates and queries restricted to these features, without templates that need too many others. A template
-            none of whose queries can be applied is matched in all frames. None if no template is left, or the method
-            needs all features.
+            The annotator with templates and queries restricted to the known features, without templates that need too
+            many other features. A template is matched in all frames if none of its queries can be applied. The result
+            is None if no template is left, or if the method needs all features.
         chosen : int64 array (C,)
-            The indices of its templates among all templates.
+            The indices of the kept templates among all templates.
         """
         kept = {s: own for s, one in enumerate(self.templates) if (own := restricted_template(one, known)) is not None}
         chosen = np.array(list(kept), np.int64)
@@ -164,17 +164,18 @@ def make_annotator(
     feature_set : FeatureSet
         The features of the words.
     templates : sequence of SubclassTemplate
-        Those whose subclass is in no class are excluded, and so are those without fixed entries, which match anything
-        at no cost. Those with fewer than `VAGUE` fixed entries per column are kept, with a remark.
+        The templates. A template is excluded if its subclass is in no class, or if it has no fixed entries, so that it
+        matches anything at no cost. A template with fewer than `VAGUE` fixed entries per column is kept, with a remark.
     classes : Classes
         The classes to label with.
     delta : float
-        Entries of a template within delta of 0 or 1 count, the others are wildcards.
+        Entries of a template within delta of 0 or 1 count; the others are wildcards.
     tau : float or mapping of str to float
         The threshold of all classes, or of each.
     queries : sequence of KeyframeQuery
-        A query whose target is a subclass preselects for it, one whose target is a class for those of its subclasses
-        that have no query of their own; other queries are excluded (see `unknown_targets`).
+        The queries that preselect frames. A query whose target is a subclass is used for this subclass; a query whose
+        target is a class is used for the subclasses of the class that have no query themselves. Queries with other
+        targets are excluded (see `unknown_targets`).
     method : type of AnnotationMethod
         The method that labels frames.
     clips : callable
@@ -224,7 +225,7 @@ def make_annotator(
 def _queries_of(
     subclasses: Sequence[str], queries: Sequence[KeyframeQuery], classes: Classes
 ) -> tuple[tuple[KeyframeQuery, ...], ...]:
-    """Return the queries of each subclass; a subclass without its own has those of its class."""
+    """Return the queries of each subclass; a subclass that is not the target of any query has those of its class."""
     by_target: dict[str, list[KeyframeQuery]] = {}
     for query in queries:
         by_target.setdefault(query.target, []).append(query)

@@ -42,7 +42,7 @@ class TakeAnnotation:
     segments : tuple of Segment
         Its segments, in the order of their starts.
     preselected : float64 array (S,)
-        The fraction of the take's frames that each template was matched in.
+        The fraction of the take's frames in which each template was matched.
     curves : float32 array (S, L), optional
         Its distance curves, if they are stored; ∞ for templates that are not applied to the take.
     applied : bool array (S,), optional
@@ -64,7 +64,7 @@ class TakeAnnotation:
 
 @dataclass(frozen=True)
 class Batch:
-    """The takes that one worker annotates, as one task."""
+    """The task of one worker: takes to annotate, the annotator, and promising ranges that are known already."""
 
     store: Store
     annotator: Annotator

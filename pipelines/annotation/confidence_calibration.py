@@ -1,9 +1,9 @@
 """Calibrate the confidence of annotations by cross-validation on the training examples.
 
-Labels of the takes to annotate are not used. In each fold, the examples of some actors are held out (those of some
-takes, if the actors to annotate are those of the examples), concatenated to takes about as long as those to annotate,
-and annotated with templates of the other examples. A label of a segment is right if most of its frames are of examples
-of its class.
+Labels of the takes to annotate are not used. In each fold, the examples of some actors are held out; if the actors of
+the examples also perform most takes to annotate, the examples of some takes are held out instead. The held-out examples
+are concatenated to takes about as long as the takes to annotate, and annotated with templates of the other examples.
+The label of a segment is right if most frames of the segment belong to examples of the labelled class.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ MAX_LAID = 16
 """The largest number of examples that are concatenated to one take."""
 
 MIN_SEGMENTS = 20
-"""The smallest number of segments from which a confidence is learned, for a method that has no prior of its own."""
+"""The smallest number of segments from which a confidence is learned, for a method without a prior."""
 
 Make = Callable[[Sequence[TrainingClips], Sequence[Rejected]], Annotator]
 """A function that makes an annotator with templates that it learns from clips, and with rejected intervals."""
@@ -49,9 +49,9 @@ class Target:
     Attributes
     ----------
     frames : sequence of int
-        Their lengths in frames.
+        The length of each take, in frames.
     actors : sequence of str or None
-        Their actors.
+        The actor of each take.
     """
 
     frames: Sequence[int]
@@ -63,7 +63,7 @@ class Target:
         return 2 * sum(one in known for one in self.actors) > len(self.actors)
 
     def laid(self, lengths: Sequence[int]) -> int:
-        """Return the number of clips that make a take of typical length: a power of two, so that it seldom changes."""
+        """Return how many clips make a take of typical length, rounded to a power of two so that it seldom changes."""
         ratio = float(np.median(self.frames)) / max(float(np.median(lengths)), 1.0)
         return int(2 ** np.clip(np.round(np.log2(max(ratio, 1.0))), 0, np.log2(MAX_LAID)))
 
@@ -77,7 +77,7 @@ class KnownTake:
     words : uint64 array (L,)
         The words.
     known : int
-        The mask of the features that are known in all of them.
+        The mask of the features that are known in all examples.
     parts : tuple of (str, int, int)
         Class and frames [start, stop) of each example.
     """
@@ -89,7 +89,7 @@ class KnownTake:
 
 @dataclass(frozen=True)
 class CalibrationFold:
-    """One fold: takes of held-out examples, an annotator with templates of the others, and all classes of examples."""
+    """One fold: takes of held-out examples, an annotator with templates of the others, and the classes of examples."""
 
     annotator: Annotator
     evidence: tuple[str, ...]
@@ -143,7 +143,7 @@ def calibrate_confidence(
     clips : sequence of TrainingClips
         The examples by subclass; at most `MAX_CLIPS` of each are used.
     actors : mapping of str to str
-        The actor of each take by its name. With fewer than two actors, takes are held out one by one.
+        The actor of each take by its name. With fewer than two actors, folds hold out takes instead of actors.
     classes : Classes
         The classes to label with.
     method : str
@@ -183,7 +183,7 @@ _UNKNOWN = "no confidence: too few examples to leave some out, and the method ha
 
 
 def uncalibrated(method: str, class_count: int) -> Confidence | None:
-    """Return the confidence that a method has without examples; None if it has no prior of its own."""
+    """Return the confidence that a method has without examples; None if the method has no prior."""
     return _learned(method, (), class_count).confidence
 
 

@@ -1,9 +1,10 @@
 """Annotation methods: the protocol of methods, and the two built-in methods.
 
 A method is a frozen dataclass with three class attributes (`name`, `label`, `uses_thresholds`). `prepare` makes an
-instance from templates and training clips; `annotate` labels takes with it. It is sent to workers, so it must be
-picklable. Its fields are hashed to find annotations that are up to date, so they must hold all that its segments depend
-on. A method that defines `restricted` can also label takes that lack features; other methods do not label such takes.
+instance from templates and training clips; `annotate` labels takes. An instance is sent to workers, so it must be
+picklable. The fields of an instance are hashed to find annotations that are up to date, so they must hold everything
+that the segments depend on. A method that defines `restricted` can also label takes that lack features; other methods
+do not label such takes.
 """
 
 from __future__ import annotations
@@ -29,7 +30,10 @@ from kinedex.ops.templates.templates import QuantisedTemplate, Template
 from kinedex.ops.words import MAX_FEATURES, TakeWords, compacted, known_bits
 
 NARROW = 4
-"""Bounds are used for templates matched in more than one of this number of frames; for others they cost more time."""
+"""Lower bounds of distances are used for a template that is matched in more than one of this number of frames.
+
+For a template that is matched in fewer frames, computing bounds takes more time than they save.
+"""
 
 
 @dataclass(frozen=True)
@@ -154,7 +158,8 @@ class ThesisMethod:
 class BestMethod:
     """Labels all frames of a take together, by the most probable sequence of templates and background.
 
-    If a mask `known` is given, templates and postures have only the features in it.
+    The postures in `usual`, which are common in training clips, describe the background. If a mask `known` is given,
+    templates and postures have only the features in the mask.
     """
 
     name: ClassVar[str] = "best"
@@ -261,7 +266,7 @@ def annotation_method(name: str) -> type[AnnotationMethod]:
 
 
 def with_usual_values(template: Template, usual: F64) -> Template:
-    """Return a template whose unknown features and those of weight 0 have the average values of the postures."""
+    """Return a template in which features of weight 0, such as unknown ones, have their average over the postures."""
     if template.feature_weights is None:
         return template
     return replace(template, values=np.where(template.feature_weights == 0, usual.mean(axis=0), template.values))

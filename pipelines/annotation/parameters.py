@@ -109,7 +109,7 @@ class AnnotationParameters(MethodParameters):
     )
     each_example: bool = Field(
         False,
-        description="method best: every example is a template of its own, every interval that people have rejected is "
-        "one that labels nothing, and the usual postures are those of all takes; for archives with few labels",
+        description="method best: every example is a template, every interval that people have rejected is a template "
+        "that assigns no label, and the background is learned from all takes; for archives with few labels",
     )
     store_curves: bool = Field(True, description="keep the distance curves, which the report draws")

@@ -36,7 +36,7 @@ from kinedex.storage.snapshot.schemas import result_schema
 from kinedex.storage.store.store import Store
 
 KIND = "example_ranges"
-"""The kind of results that holds the ranges."""
+"""The kind of results that holds promising ranges."""
 
 
 @dataclass(frozen=True)
@@ -179,8 +179,9 @@ class SingleExamples:
     def annotate(
         self, words: TakeWords, ranges: Sequence[I64], promising: Sequence[I64] | None = None
     ) -> list[list[Segment]]:
-        """Label takes; see `AnnotationMethod.annotate`. `promising` holds the promising ranges of these takes, if
-        known.
+        """Label takes; see `AnnotationMethod.annotate`.
+
+        `promising` holds the promising ranges of each take, if they are known.
         """
         if not (self.positions != NOTHING).any():
             return [[] for _ in range(len(words))]

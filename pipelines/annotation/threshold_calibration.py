@@ -84,8 +84,8 @@ def calibrate(
     executor : Executor
         The workers.
     rejected : sequence of Rejected, optional
-        Intervals that a person has rejected. The costs of an interval for the templates of the class that it was
-        rejected for count like those of other classes' clips; for other classes it does not count.
+        Intervals that a person has rejected for a class. For this class, the costs of an interval count like those of
+        clips of other classes; for other classes, the interval does not count.
 
     Returns
     -------

@@ -1,17 +1,18 @@
 """Digests of code: a hash of the definitions that a function or class can reach, for fingerprints of its results.
 
-A digest follows names. It starts at a definition, reads its syntax tree, and goes on with the definition that each name
-in it stands for, through imports, wherever that is in kinedex or in the package of a plugin. A class counts with all of
-its methods. Annotations of functions are followed as well, as they give the classes of the objects whose methods are
-called, but do not count themselves. Docstrings and comments do not count.
+A digest follows names. It starts at a definition and reads its syntax tree. It goes on with the definitions of all
+names in this tree, including names that are imported from other modules of kinedex or of a plugin. A class counts with
+all of its methods. Names in annotations of functions are followed as well, because they tell the classes of the objects
+whose methods are called. The annotations themselves do not count, nor do docstrings and comments.
 
-Consequently, a stage depends on the protocols that it is run by (`Executor`, `Display`), which it names, and not on the
-classes that implement them, which only the runner names.
+Consequently, the digest of a stage covers the protocols that the stage names (`Executor`, `Display`), but not the
+classes that implement these protocols, because only the runner names these classes.
 
-Where names cannot be followed, larger parts count: a module that is used as a value, or by an attribute that it does
-not define, counts as a whole; so do statements of imported modules that are not plain definitions. Code that is
-imported by a computed name has to be declared: a string "package.module:name" is followed like a name, so that tables
-of built-in parts need no declaration. Plugins count where they are used (`part_digest`).
+Where names cannot be followed, larger parts count. A module counts as a whole if it is used as a value, or if an
+attribute of it is used that it does not define. Statements of imported modules that are not plain definitions count as
+well. Code that is imported by a computed name must be declared: a string "package.module:name" is followed like a name.
+Tables of built-in parts consist of such strings, and need no other declaration. Plugins count where they are used
+(`part_digest`).
 """
 
 from __future__ import annotations
@@ -42,13 +43,13 @@ ROOMS = ("ops", "catalog", "storage", "pipelines", "reports", "explorer", "libra
 """The folders of the package; in a checkout the last three lie in `kinedex/`, and the others beside it."""
 
 WHOLE, EFFECTS = "", "*"
-"""Names in a `Place` that stand for a whole module, and for its statements other than definitions, run on import."""
+"""Names in a `Place`: for a whole module, and for its statements other than definitions, which run on import."""
 
 _DECLARED = re.compile(r"[A-Za-z_]\w*(\.[A-Za-z_]\w*)+:[A-Za-z_]\w*")
 _KNOWN = Path(__file__).resolve().parent / "__pycache__" / "code_digest.json"
 
 Place = tuple[str, str]
-"""A module, and a name in it or one of `WHOLE` and `EFFECTS`."""
+"""A module, and a name that it defines, or `WHOLE` or `EFFECTS`."""
 
 
 def code_digest(*roots: Callable[..., object] | type | str) -> str:
@@ -70,7 +71,7 @@ def code_digest(*roots: Callable[..., object] | type | str) -> str:
 def part_digest(parts: Plugins[Any], name: str) -> str:
     """Return a hash of a plugin's code, and of its distribution's name and version; empty for a built-in part.
 
-    The digest of the code that uses the table of built-in parts covers these already.
+    A built-in part needs no hash here, because the digest of the code that uses the table of parts covers it.
     """
     distribution = parts.distribution(name)
     return plugin_digest(distribution, parts.place(name)) if distribution else ""
@@ -106,7 +107,7 @@ def _digest(roots: tuple[Place, ...]) -> str:
 
 
 @contextmanager
-def _uncollected() -> Iterator[None]:
+def _collector_disabled() -> Iterator[None]:
     """Disable the garbage collector, which would spend half of the time on syntax trees without freeing anything."""
     enabled = gc.isenabled()
     gc.disable()
@@ -159,9 +160,9 @@ class Code:
     names : set of str
         Names and chains of attributes on names, such as "np.zeros", including those in annotations.
     imports : dict of str to Place
-        The names that imports inside of it bind.
+        The names that imports inside the definition bind, with the places that they stand for.
     declared : set of Place
-        The places that are named by strings "module:name".
+        The places that strings of the form "module:name" name.
     """
 
     text: str = ""
@@ -247,11 +248,11 @@ class Module:
     imports : dict of str to Place
         The names that imports bind, including those for type checkers only.
     imported : list of str
-        The modules that are imported when this one is.
+        The modules that are imported when this module is.
     effects : list of ast.stmt
         The statements other than definitions, which run on import.
     registered : list of str
-        The definitions with a decorator of its package, which can register them on import.
+        The definitions with a decorator of the module itself or of kinedex, which can register them on import.
     """
 
     def __init__(self, name: str, path: Path) -> None:
@@ -332,7 +333,7 @@ class Sources:
     Parameters
     ----------
     root : Path, optional
-        The folder of the rooms; that of this program by default.
+        The folder that contains the folders of `ROOMS`; by default that of the running program.
     """
 
     def __init__(self, root: Path = ROOT) -> None:
@@ -347,7 +348,7 @@ class Sources:
             hasher.update(f"{module}:{name}={text}\n".encode())
         return hasher.hexdigest()[:16]
 
-    @_uncollected()
+    @_collector_disabled()
     def reached(self, roots: Iterable[Place]) -> dict[Place, str]:
         """Return all definitions that can be reached from the given places, with the hash of each."""
         waiting: list[Place | None] = []
@@ -412,7 +413,7 @@ class Sources:
         return self._at(module.imports[head], rest) if head in module.imports else None
 
     def _at(self, place: Place, rest: Sequence[str] = (), depth: int = 0) -> Place | None:
-        """Return the place of the definition of a name or of its attributes, following imports; None if outside."""
+        """Follow imports to the definition of a name or of its attributes; None if kinedex and plugins have none."""
         base, name = place
         module = self.module(base)
         if module is None or depth > 20:

@@ -21,7 +21,7 @@ _SETTING = re.compile(r"\$\{([A-Za-z_][A-Za-z0-9_]*)\}")
 
 
 KnownFailures = Literal["report", "remember"]
-"""Either every run reports all failures, or the store remembers failures and a run reports only new ones."""
+"""With "report", every run reports all failures; with "remember", the store keeps them, and a run reports new ones."""
 
 
 class _StageEntry(BaseModel):
@@ -55,7 +55,7 @@ class PipelineStage:
     params : BaseModel
         Its parameters.
     unset : frozenset of str
-        The parameters that neither the user nor the user's file sets: they have their default, or that of a
+        The parameters that neither the user nor the user's file sets. Each has its default, or the default of a
         setting of a shipped pipeline.
     """
 
@@ -155,7 +155,7 @@ def load_pipeline(
         The texts of `--set` on the command line: "name" for a setting of the file, "stage.key" for a parameter of a
         stage. Values are YAML.
     settings : mapping of str to object, optional
-        The same as Python values. The name of a parameter that exactly one stage has needs no stage.
+        Python values for the same names. For a parameter that only one stage has, the name may omit the stage.
 
     Raises
     ------
@@ -298,20 +298,21 @@ class _PipelineReader:
                 raise self._located.error(f"'{kind.name}' has no input '{role}'{hint}", "stages", name, "inputs", role)
         found = {}
         for role, needed in kind.inputs.items():
-            player = self._named(name, role, needed) if role in given else self._only(name, kind, role, needed)
-            if player is not None:
-                found[role] = player
+            stage = self._named(name, role, needed) if role in given else self._only(name, kind, role, needed)
+            if stage is not None:
+                found[role] = stage
         return found
 
     def _named(self, name: str, role: str, needed: Input) -> str:
-        player = self._entries[name].inputs[role]
+        """Return the stage that the file names for an input role; raise a ConfigError if it has the wrong kind."""
+        stage = self._entries[name].inputs[role]
         key = ("stages", name, "inputs", role)
-        if player not in self._entries:
-            raise self._located.error(f"there is no stage '{player}'{did_you_mean(player, self._entries)}", *key)
-        other = self._entries[player].uses or player
-        if other != needed.stage:
-            raise self._located.error(f"must be a stage '{needed.stage}', but '{player}' is a stage '{other}'", *key)
-        return player
+        if stage not in self._entries:
+            raise self._located.error(f"there is no stage '{stage}'{did_you_mean(stage, self._entries)}", *key)
+        kind = self._entries[stage].uses or stage
+        if kind != needed.stage:
+            raise self._located.error(f"must be a stage '{needed.stage}', but '{stage}' is a stage '{kind}'", *key)
+        return stage
 
     def _only(self, name: str, kind: Stage[BaseModel], role: str, needed: Input) -> str | None:
         candidates = [other for other, entry in self._entries.items() if (entry.uses or other) == needed.stage]

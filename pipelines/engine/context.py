@@ -39,7 +39,7 @@ def feature_set_for(store: Store | None, given: str | None = None) -> FeatureSet
     store : Store or None
         The store, where it exists.
     given : str or None
-        A shipped name, or a path to a .yaml file.
+        The feature set that the user has named: a shipped name, or a path to a .yaml file.
 
     Raises
     ------

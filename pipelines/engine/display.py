@@ -42,8 +42,8 @@ class ResultTable:
     title, caption : str or None
         The line above the table, and the remark below it.
     layout : {"wide", "close", "tall"}
-        "close" keeps many columns of numbers whole, and wraps the names in the first one; "tall" does so below headings
-        of several lines.
+        The way in which a terminal shows the table. "wide" shortens texts that do not fit; "close" wraps the texts of
+        the first column, so that many columns of numbers fit; "tall" does the same for headings of several lines.
     rows : list of Row
         The rows.
     """

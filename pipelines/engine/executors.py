@@ -31,7 +31,7 @@ Item = TypeVar("Item")
 Result = TypeVar("Result")
 KINDS = ("serial", "processes", "dask")
 TRIES = 3
-"""The number of times that a task is started before the deaths of its workers count as its fault."""
+"""The number of workers that may die during one task before the task counts as the cause."""
 
 _CHECKS = 3
 ANSWER_SECONDS = 10.0
@@ -126,7 +126,7 @@ class ProcessExecutor(Executor):
     """Runs tasks in worker processes that live as long as the executor, with at most two tasks per worker in flight.
 
     When a worker dies (killed, out of memory), the tasks in flight are tried again one at a time, so that a task that
-    kills its worker is identified; after `TRIES` deaths the error names it.
+    kills its worker is identified. After `TRIES` deaths, an error names the task.
     """
 
     def __init__(self, workers: int) -> None:
@@ -403,9 +403,9 @@ def batches_of(items: Iterable[Item], sizes: Iterable[int], most: int) -> list[t
 def in_threads(work: Callable[[Item], Result], items: Iterable[Item], workers: int) -> Iterator[Result]:
     """Apply a function to every item in threads, with two items per thread in flight; yield the results in order.
 
-    The next item is drawn only after earlier results were consumed, so that it can use thresholds from them. The
-    kernels release the interpreter's lock: threads use all cores without copying words. After cancellation, only the
-    items in flight are completed.
+    An item is drawn only after the results of earlier items were consumed, so that it can use thresholds from these
+    results. The kernels release the interpreter's lock, so threads use all cores without copying words. After
+    cancellation, only the items in flight are completed.
     """
     source = iter(items)
     with ThreadPoolExecutor(max(1, workers)) as pool:

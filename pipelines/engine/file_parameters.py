@@ -29,8 +29,8 @@ class NamesFile:
     Attributes
     ----------
     kind : str
-        "data" for a folder or file of data, which is not copied; "file" for a file, or a folder of YAML files, of
-        settings; "queries" or another kind of `catalog.configs.KINDS` if the name of a shipped file may be given.
+        "data" for a folder or file of data, which the history does not copy; "file" for a file of settings, or a
+        folder of YAML files; "queries" or another kind of `catalog.configs.KINDS` if a shipped file may be named.
     """
 
     kind: str

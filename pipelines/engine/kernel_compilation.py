@@ -17,7 +17,7 @@ from kinedex.pipelines.engine.executors import begin_worker, cores, ctrl_c_block
 class KernelCompilation:
     """Processes that compile the listed kernels in the background.
 
-    They end with their parent.
+    The processes end when their parent process ends.
 
     Parameters
     ----------
@@ -35,7 +35,7 @@ class KernelCompilation:
 
     @property
     def is_done(self) -> bool:
-        """Return True once all processes have ended."""
+        """True once all processes have ended."""
         return not any(process.is_alive() for process in self._processes)
 
     def wait(self) -> None:

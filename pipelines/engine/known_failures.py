@@ -28,7 +28,7 @@ class FailedFile:
     Attributes
     ----------
     file : str
-        The path of the file; for one person of a file with several, the path of that file.
+        The path of the file. If one person of a file with several persons failed, this is the path of the whole file.
     checksum : str
         Hash of what the failure depends on: the content of the file, and of another file that caused it; empty
         if a file cannot be opened.
@@ -102,7 +102,7 @@ def source_files(
     Parameters
     ----------
     store_path : Path
-        The directory of the store, as the run has left it.
+        The directory of the store, after the run.
     pipeline : Pipeline
         The pipeline.
     before : mapping of str to (str or None)

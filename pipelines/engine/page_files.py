@@ -41,6 +41,9 @@ def write_page(page: str, path: Path) -> int:
 
 
 def drawn_by(place: str) -> Callable[..., Any]:
-    """Return the function that a text "module:name" names; the code digest of a stage with the text covers it."""
+    """Return the function that a text "module:name" names.
+
+    The code digest of a stage follows such texts, so that it covers the function although the stage does not import it.
+    """
     found: Callable[..., Any] = resolve_name(place)
     return found

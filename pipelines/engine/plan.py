@@ -32,13 +32,13 @@ class Step:
     stage : PipelineStage
         The stage.
     parts : dict of str to str
-        The parts of its fingerprint by name, each a hash.
+        The hash of each part of the fingerprint, by the name of the part.
     record : StageRecord or None
-        The record of the last time it ran.
+        The record of the last run of the stage.
     reason : str or None
-        The reason for which it runs; None if it does not.
+        The reason why the stage runs; None if it does not run.
     what : str
-        A description of the takes that it reads; empty if it depends on all takes of the store.
+        A description of the takes that the stage reads; empty if it depends on all takes of the store.
     """
 
     stage: PipelineStage

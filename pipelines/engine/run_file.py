@@ -134,7 +134,7 @@ class _RunFile:
         return "".join(f"# {_CONTROL.sub(' ', fact)}\n" for fact in facts) + "\n"
 
     def _copies(self) -> dict[str, str]:
-        """Add copies of the user's files, and return a dict from old to new path of the files and of their folders."""
+        """Add copies of the user's files, and return the new path of each file and folder by its old path."""
         if not self.run.files:
             return {}
         strange = [kept.path for kept in self.run.files if not os.path.isabs(kept.path)]

@@ -28,7 +28,7 @@ class RunRecorder:
     pipeline : Pipeline
         The pipeline, with all parameters.
     record : PipelineRecord
-        What the manifest keeps of the run.
+        The record of the run for the manifest.
     """
 
     def __init__(self, store_path: Path, pipeline: Pipeline, record: PipelineRecord) -> None:
@@ -59,7 +59,7 @@ class RunRecorder:
             stages=stages,
         )
         if versions(store_path):
-            self._run = _with_surroundings(self._run, read_newest(store_path))
+            self._run = _with_store_content(self._run, read_newest(store_path))
 
     def skip(self, step: Step) -> None:
         """Record that a stage is up to date."""
@@ -133,8 +133,8 @@ class RunRecorder:
         return tuple(kept)
 
 
-def _with_surroundings(run: PipelineRun, manifest: Manifest) -> PipelineRun:
-    """Return a run with the sources and mappings that the store has from other runs."""
+def _with_store_content(run: PipelineRun, manifest: Manifest) -> PipelineRun:
+    """Return a run with the sources, mappings, labels and takes that the store has from other runs."""
     sources = sorted(manifest.sources.items(), key=lambda item: item[1].recorded)
     return replace(
         run,

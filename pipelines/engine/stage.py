@@ -53,7 +53,7 @@ class Stage(ABC, Generic[Parameters]):
     inputs : mapping of str to Input
         The input roles, by name, that other stages fill.
     commits_once : bool
-        True if `run` commits all results at once, together with `StoreWriter.forget_stage`: until then the
+        True if `run` commits all results at once, together with `StoreWriter.forget_stage`. Until this commit, the
         stage counts as done, and its earlier results are shown.
     """
 
@@ -101,7 +101,7 @@ class Stage(ABC, Generic[Parameters]):
         return ""
 
     def named_parts(self, params: Parameters) -> Sequence[tuple[Plugins[Any], str]]:
-        """Return the parts that the parameters name and plugins can provide, each as table of parts and name."""
+        """Return the parts that the parameters name and plugins can provide, as tables of parts and names in them."""
         return ()
 
     def is_current(self, store: Store) -> bool:

@@ -19,7 +19,7 @@ from kinedex.storage.formats.json_text import json_text
 from kinedex.storage.snapshot.schemas import result_schema
 
 F_FRAMES, F_SEGMENTS = "F (frames)", "F (segments)"
-"""Headings of the F-measures; the thesis calls them F1 and F2, and so do the keys of files."""
+"""Headings of the F-measures; the thesis and the keys in files call them F1 and F2."""
 
 THESIS_NAMES = "F (frames) and F (segments) are F1 and F2 of the thesis (Section 5.4); P is precision, R recall"
 """The remark that explains these names, shown once per page or table."""
@@ -31,7 +31,7 @@ SCOPES = ("pooled", "fold", "class", "take")
 
 @dataclass(frozen=True)
 class Row:
-    """A row of an evaluation; its scope is 'pooled', 'class', 'take', 'fold' or 'group' (takes with one value)."""
+    """A row of an evaluation, with the scope 'pooled', 'class', 'take', 'fold' or 'group' (takes with equal values)."""
 
     scope: str
     name: str

@@ -65,7 +65,7 @@ class Plan:
     annotated : str, optional
         The stage `annotate` whose method is repeated, "<pipeline>/<stage>".
     remarks : tuple of str
-        Methods that equal an earlier one, and queries that are not used.
+        Remarks on methods that equal an earlier one, and on queries that are not used.
     """
 
     params: ComparisonParameters

@@ -1,4 +1,4 @@
-"""Compute the cells of a comparison: every method in every fold. Stored cells are not computed again."""
+"""Compute the cells of a comparison, one for each method in each fold; stored cells are not computed again."""
 
 from __future__ import annotations
 
@@ -166,8 +166,8 @@ def annotate_task(task: Task) -> SegmentsByTake:
 def cells_table(cells: Sequence[Cell], found: Mapping[str, SegmentsByTake], run: str) -> pa.Table:
     """Return finished cells as results of the kind `method_cells`, one row for each cell and take.
 
-    Cells of one key have the same segments under several names (a threshold of the sweep that a method has as well,
-    splits that share a fold); there are rows for every name.
+    Several cells can have the same key, and thus the same segments: a method and a point of the sweep with the same
+    threshold, for instance, or the cells of splits that share a fold. There are rows for each of these cells.
     """
     rows = [
         {

@@ -12,7 +12,7 @@ from kinedex.pipelines.engine.file_parameters import NamesFile
 from kinedex.pipelines.evaluation.ground_truth import GroundTruthParameters
 
 LEARNED = "learned"
-"""The value that stands in place of query files: queries are learned in each fold, from its own training clips."""
+"""The value of `queries`, in place of query files, by which queries are learned from the clips of each fold."""
 
 Metric = Literal["frames", "segments", "overlap", "boundaries", "joined"]
 METRICS: tuple[Metric, ...] = ("frames", "segments", "overlap", "boundaries", "joined")

@@ -95,7 +95,7 @@ class Study:
 
 
 def take_title(study: Study, result: SplitResult, test_take: TestTake) -> str:
-    """Return the title of a take: its name, with that of its split if another split has a different take of it."""
+    """Return the name of a take, after that of its split if another split has a different take of the same name."""
     same = [other for split in study.splits for other in split.test_takes if other.name == test_take.name]
     alike = all(other.take_ids == test_take.take_ids for other in same)
     return test_take.name if alike else f"{result.split.name}: {test_take.name}"
@@ -123,13 +123,13 @@ def boundary_summary(
     rate_hz : float
         The analysis rate, in frames per second.
     joined : bool
-        True to use segments after touching ones of a class are joined.
+        True to use the segments that result from joining touching segments of a class.
 
     Returns
     -------
     dict of str to dict
-        For "start" and "stop": `segments`, their number; `median`, positive where late; `median_size`, the median of
-        absolute errors; `size_of_nine_tenths`, which nine of ten do not exceed.
+        For "start" and "stop": `segments`, the number of segments; `median`, the median error, which is positive for
+        late boundaries; `median_size`, the median of absolute errors; `size_of_nine_tenths`, their 90 % quantile.
     """
     summary: dict[str, dict[str, float | int | None]] = {}
     frames = judgement.joined_boundaries if joined else judgement.boundaries

@@ -108,7 +108,7 @@ def overview(study: Study) -> list[ResultTable | Line]:
 
 
 def _overview(result: SplitResult, study: Study, part: slice) -> ResultTable:
-    """Return a part of the columns of the table of methods."""
+    """Return the table of methods with some of its columns."""
     table = ResultTable(("", *(name.replace(" ", "\n") for name in headings(study)[part])), layout="tall")
     for name, judgement in result.judgements.items():
         leads = name == result.leading and len(result.judgements) > 1

@@ -19,7 +19,7 @@ LEVELS = ("f1", "f2")
 NAMES = ("name", "title")
 """The settings that only name a method, and do not affect its results."""
 
-ROW_DOES_WITHOUT = ("tau", "tau_by_class")
+UNUSED_BY_BEST = ("tau", "tau_by_class")
 """The settings that do not affect the method `best`, which uses no thresholds."""
 
 Pair = tuple[float | None, float | None]
@@ -67,7 +67,7 @@ class Comparison:
     a, b : str
         The names of the evaluations.
     overall : Change
-        The change over the common takes; if there are none, between each evaluation's own takes.
+        The change over the common takes; if there are none, the change between all takes of A and all takes of B.
     intervals : dict of str to (float, float)
         The 95 % intervals over takes of the differences of both measures.
     classes, takes : tuple of Change
@@ -161,8 +161,9 @@ def compare_evaluations(a: MethodEvaluation, b: MethodEvaluation, names: tuple[s
 def direction(pair: Pair) -> int | None:
     """Return 1 if a measure increases from A to B, −1 if it decreases, and 0 if it does not change.
 
-    An undefined measure means that there was nothing to find and nothing was labelled; if the other one is 0, something
-    was labelled in vain, which is worse. None is returned if only one of them had something to find.
+    If a measure is undefined in one evaluation, there was nothing to find and nothing was labelled. A value of 0 in the
+    other evaluation then counts as worse, because something was labelled in vain. None is returned if only one of the
+    evaluations had something to find.
     """
     a, b = pair
     if a is not None and b is not None:
@@ -218,7 +219,7 @@ def _other_truth(a: MethodEvaluation, b: MethodEvaluation) -> UnsharedContent:
 
 def _settings(a: MethodEvaluation, b: MethodEvaluation) -> tuple[tuple[str, object, object], ...]:
     """Return the settings that differ, without those that do not affect A or B."""
-    idle = {*NAMES, *(ROW_DOES_WITHOUT if "best" in (a.settings.get("method"), b.settings.get("method")) else ())}
+    idle = {*NAMES, *(UNUSED_BY_BEST if "best" in (a.settings.get("method"), b.settings.get("method")) else ())}
     return tuple(
         (name, a.settings.get(name), b.settings.get(name))
         for name in dict.fromkeys((*a.settings, *b.settings))

@@ -28,9 +28,9 @@ from kinedex.storage.store.store import Store
 class QueryLearner:
     """Learns the queries of folds as the stage `learn_keyframes` does.
 
-    Learning runs that were finished earlier are reused, including those of that stage; they are kept in the store while
-    any fold has their clips, whatever the settings. The parameters' filter of takes is not used, because a fold has its
-    own clips.
+    Learning runs that were finished earlier are reused, including those of the stage. The store keeps a run as long as
+    a fold has the same clips, whatever the settings are. The parameters' filter of takes is not used, because each fold
+    has its own clips.
     """
 
     def __init__(self, context: StageContext, params: KeyframeParameters) -> None:

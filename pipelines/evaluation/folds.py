@@ -48,8 +48,9 @@ class TestTake:
     truth: tuple[TakeSegment, ...]
 
     def known(self, masks: Mapping[int, int]) -> int:
-        """Return the mask of the features known in all its takes; `masks` has the masks of takes that lack some
-        features.
+        """Return the mask of the features that are known in all takes of the store that it consists of.
+
+        `masks` has the masks of takes that lack some features, by take_id.
         """
         return reduce(and_, (masks[take_id] for take_id in self.take_ids if take_id in masks), int(ALL_KNOWN))
 
@@ -70,14 +71,14 @@ PlaceTruth = Callable[[pl.DataFrame], GroundTruth]
 
 @dataclass(frozen=True)
 class Material:
-    """The takes of a split, and what their folds are made from.
+    """The takes of a split, and the other data from which its folds are made.
 
     Attributes
     ----------
     training : polars.DataFrame
         Rows of the takes to learn from.
     clips : tuple of TrainingClips
-        Their clips by subclass.
+        The clips of these takes, by subclass.
     tested : polars.DataFrame
         Rows of the takes to annotate.
     classes : Classes

@@ -70,7 +70,7 @@ class Manual:
 
     @property
     def statement(self) -> Statement:
-        """Take, class and source frames; segments that agree in them count once."""
+        """The take, class and source frames of the segment; segments with equal statements count once."""
         return self.take, self.label, self.source_start, self.source_stop
 
 
@@ -86,7 +86,7 @@ class GroundTruth:
         The names of the takes, sorted; a take without a segment (it was labelled as empty, or all of its labels are
         excluded) has nothing to find.
     remarks : tuple of str
-        Labels and takes that were excluded.
+        Remarks on labels and takes that were excluded.
     unmatched : tuple of UnmatchedLabels
         The labels that match no take, file by file.
     """
@@ -187,7 +187,7 @@ def _of_several_files(
 ) -> list[str]:
     """Return remarks on repeated segments, and on takes that several files label differently.
 
-    `firsts` has the first of the segments that state the same.
+    `firsts` has the first segment of each statement.
     """
     pairs = ((firsts[one.statement], one) for one in segments)
     again = Counter((first.origin, one.origin) for first, one in pairs if first is not one)
@@ -305,7 +305,7 @@ def with_own_classes(params: GroundTruthParameters, takes: pl.DataFrame) -> Grou
 
 
 def not_labelled(params: GroundTruthParameters, roots: Iterable[str]) -> bool:
-    """Return whether takes have no ground truth: it is "none", or not given while no file matches the default.
+    """Return whether takes have no ground truth: "none" is given, or nothing is given and no file matches the default.
 
     Parameters
     ----------

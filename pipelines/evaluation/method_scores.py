@@ -36,12 +36,12 @@ class SegmentOutcome:
     take, label : str
         The take and the class.
     start, stop : int
-        Its analysis frames, stop excluded.
+        The analysis frames [start, stop) of the manual segment.
     overlaps : dict of str to float
-        By method, the intersection over union with the automatic segment of its class that overlaps it most; 0 if
-        none does.
+        For each method, the intersection over union of the manual segment with that automatic segment of the same
+        class that overlaps it most; 0 if none overlaps it.
     labels : dict of str to tuple of str
-        By method, the labels of the automatic segments that overlap it, the largest overlap first.
+        For each method, the labels of the automatic segments that overlap it, the largest overlap first.
     """
 
     take: str
@@ -78,7 +78,7 @@ class MethodScores:
     boundaries : int64 array (M, 2)
         Boundary errors, see `boundary_errors`.
     joined_precision, joined_boundaries
-        The same after touching segments of one class are joined (`joined_segments`).
+        Mean average precision and boundary errors after touching segments of a class are joined (`joined_segments`).
     """
 
     pooled: Counts

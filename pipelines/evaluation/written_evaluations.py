@@ -124,7 +124,7 @@ _NAMES = ("methods.json", "metrics.json", "leave_one_out.json")
 
 
 def _files_in(folder: Path) -> list[Path]:
-    """Return the evaluation files of a folder by kind; names of a second stage of a kind begin with its name."""
+    """Return the evaluation files of a folder, sorted by kind; a prefix in the name of a file names its stage."""
     files = sorted(folder.glob("*.json"))
     return [file for name in _NAMES for file in files if file.name == name or file.name.endswith(f".{name}")]
 

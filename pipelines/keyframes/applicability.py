@@ -64,7 +64,7 @@ def applicability(
     Returns
     -------
     list of Applicability
-        Those with a fraction below 1, by mask; templates come first.
+        Templates and queries of which less than everything is known, sorted by mask, templates first.
     """
     asked = list(dict.fromkeys(queries))
     found = []
@@ -87,7 +87,7 @@ def remarks_on(found: Sequence[Applicability], known: Mapping[int, int]) -> list
     found : sequence of Applicability
         The applicability for the masks of the takes.
     known : mapping of int to int
-        Take id → mask of those takes that lack features.
+        The feature masks of the takes that lack features, by take_id.
     """
     remarks = []
     for kind, plural in (("template", "templates"), ("query", "queries")):

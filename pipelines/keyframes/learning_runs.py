@@ -1,4 +1,4 @@
-"""Run keyframe learning in rounds over all classes; finished runs are stored, and classes end when they settle."""
+"""Run keyframe learning in rounds over all classes; a class ends early if its outcome no longer improves."""
 
 from __future__ import annotations
 
@@ -32,10 +32,13 @@ SAVE_SECONDS = 20.0
 """The longest time, in seconds, after which finished runs are stored."""
 
 GROUP = 8
-"""The number of runs in a round, after which classes that need more are determined; the study uses 8, 16 and 48."""
+"""The number of runs in a round; after each round, the classes that need more runs are determined.
+
+The study of keyframe learning uses 8, 16 and 48.
+"""
 
 PATIENCE = 2
-"""The number of rounds without a better outcome after which a class settles."""
+"""The number of rounds without a better outcome after which a class is settled: no more runs are made."""
 
 SETTLED = 0.001
 """The smallest rise in rank by which an outcome counts as better."""
@@ -43,7 +46,7 @@ SETTLED = 0.001
 
 @dataclass(frozen=True)
 class FinishedRun:
-    """A finished run, with the key of its training set and setting, its subclass and its number."""
+    """A finished run, with the key of its training set and parameters, its subclass and its number."""
 
     key: str
     subclass: str
@@ -98,7 +101,7 @@ class Rounds:
     group : int
         The number of runs in a round.
     patience : int
-        The number of rounds without a better outcome after which a class settles.
+        The number of rounds without a better outcome after which a class is settled: no more runs are made.
     settled : float
         The smallest rise in rank by which an outcome counts as better.
     """
@@ -132,7 +135,7 @@ def learn_queries(
     executor : Executor
         The workers.
     known : sequence of FinishedRun
-        Finished runs; those of these training sets and this setting are reused.
+        Finished runs; those with the given training sets and parameters are reused.
     save : callable, optional
         Stores finished runs; called every `SAVE_SECONDS` and after each round.
     advance : callable, optional

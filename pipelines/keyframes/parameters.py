@@ -28,7 +28,7 @@ class KeyframeParameters(ExampleParameters):
     model_config = ConfigDict(extra="forbid", allow_inf_nan=False)
 
     classes: Annotated[str, NamesFile("classes")] = Field(
-        OWN, description="a class file; other subclasses of a class are no negatives of each other"
+        OWN, description="a class file; clips of other subclasses of the same class are no negative clips"
     )
     sets: list[str] = Field([], description="feature sets that keyframes may use; all unless given")
     learner: Learner = Field("genetic", description="genetic; or, to compare with it, random or greedy")
@@ -45,23 +45,23 @@ class KeyframeParameters(ExampleParameters):
         description="least number of keyframes of an initial individual; recombination or consensus may give fewer",
     )
 
-    alternatives: int = Field(1, ge=1, description="queries a subclass: the consensus, then the best different runs")
+    alternatives: int = Field(1, ge=1, description="queries of a subclass: the consensus, then the best other runs")
     at_least: AtLeast = Field(
-        "median", description="the consensus counts if no less fit than the median run, or the best; else the best run"
+        "median", description="the run, median or best, that the consensus must be as fit as; else the best run is used"
     )
     margins: Margins = Field(
         "learned", description="frames around a hit: learned for each query, or shared by all queries of a subclass"
     )
 
     steady: int = Field(0, ge=0, description="frames before and after for which keyframes must hold in positive clips")
-    tempo: float = Field(0.0, ge=0, description="positive clips count only if hit even when so much slower or faster")
-    parsimony: float = Field(0.0, ge=0, description="what a fixed entry takes off the fitness")
-    gap_cost: float = Field(0.0, ge=0, description="what a frame between the ends of a gap takes off the fitness")
+    tempo: float = Field(0.0, ge=0, description="positive clips must be hit even if faster or slower by this fraction")
+    parsimony: float = Field(0.0, ge=0, description="the fitness that each fixed entry costs")
+    gap_cost: float = Field(0.0, ge=0, description="the fitness that each frame between the ends of a gap costs")
     outside_cost: float = Field(
-        0.0, ge=0, description="what the template's share before the first and after the last keyframe takes off"
+        0.0, ge=0, description="cost of the share of the template before the first and after the last keyframe"
     )
     open_share: float = Field(0.0, ge=0, le=1, description="share of entries that a generalisation may open at once")
-    joins: int = Field(0, ge=0, description="how often all negative clips are joined two by two as further negatives")
+    joins: int = Field(0, ge=0, description="how often all negative clips are joined in pairs as further negatives")
 
     def evolution(self) -> EvolutionSettings:
         """Return the settings of the genetic algorithm."""

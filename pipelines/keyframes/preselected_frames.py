@@ -84,9 +84,9 @@ def template_window(
     Parameters
     ----------
     query : KeyframeQuery
-        A query; without positions, those are used at which its keyframes fit the template best. Margins that the query
-        has are returned unchanged, and its positions may then be those of another template, for instance of
-        one learned without some clips.
+        A query. If it has no positions, its keyframes are placed where they fit the template best. If it has margins,
+        these are returned unchanged; its positions may then belong to another template, for instance to one that was
+        learned without some clips.
     template : float64 array (N, f)
         The template's columns; entry i - 1 of a column belongs to F_i. A quantised template has 0 and 1, and one half
         for wildcards.
@@ -161,7 +161,7 @@ def template_ranges(
 def known_queries(
     queries: Sequence[KeyframeQuery], margins: Sequence[tuple[int, int]], feature_set: FeatureSet, known: int
 ) -> tuple[KeyframeQuery, ...]:
-    """Return those of a template's queries that apply to takes in which only some features are known.
+    """Return the queries of a template that apply to takes in which only some features are known.
 
     Parameters
     ----------
@@ -177,7 +177,7 @@ def known_queries(
     Returns
     -------
     tuple of KeyframeQuery
-        The queries restricted to known features, without those of which too few entries are known.
+        The queries restricted to known features, without queries of which too few entries are known.
     """
     found = []
     for query, own in zip(queries, margins, strict=True):
@@ -210,6 +210,7 @@ def ranges_around(hits: Sequence[TakeRanges], margins: Sequence[tuple[int, int]]
     Returns
     -------
     int64 array (R, 2)
+        Ranges of the concatenated words.
     """
     extended = [
         extend_and_unite(found.end_to_end(offsets), offsets, left, right)

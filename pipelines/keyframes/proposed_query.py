@@ -24,7 +24,7 @@ def propose_query(store: Store, take: str, start: int, stop: int, *, name: str =
     Parameters
     ----------
     store : Store
-        A store whose index is built; its vocabulary gives the fraction of frames of a pose.
+        A store whose index is built; the vocabulary of the index gives the fraction of frames that show a pose.
     take : str
         The name of the take that contains the example.
     start, stop : int

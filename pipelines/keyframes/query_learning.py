@@ -39,7 +39,10 @@ from kinedex.pipelines.templates.template_learning import TrainingClips
 Learner = Literal["genetic", "random", "greedy"]
 
 REACH = 0.04
-"""The largest distance, as a share of the template, of keyframes of two runs that count as equal; not in the thesis."""
+"""The largest distance between equal keyframes of two runs, as a fraction of the template's columns.
+
+The thesis does not give a value.
+"""
 
 
 @dataclass(frozen=True)
@@ -72,8 +75,8 @@ class TrainingSet:
     positives : tuple of uint64 arrays (L,)
         The words of its clips.
     negatives : tuple of uint64 arrays (L,)
-        The words of clips of other classes in which these features are known, and of intervals that a person has
-        rejected.
+        The words of clips of other classes in which the features in `known` are known, and of intervals that a person
+        has rejected.
     known : int
         The mask of the features known in the clips, with the bits of a word; keyframes use no others.
     """
@@ -169,8 +172,8 @@ class Outcome:
     chosen : tuple of ChosenQuery
         The queries that preselect for the subclass.
     precision, recall : float
-        Those of all selected queries together, on the clips; unlike the fitness without joined clips, and
-        without the conditions of `steady` and `tempo`.
+        Precision and recall of all selected queries together on the clips. In contrast to the fitness, joined clips do
+        not count, and the conditions `steady` and `tempo` are not applied.
     columns : int
         The number of columns of the template.
     clips : tuple of str
@@ -204,8 +207,8 @@ def training_sets(
     classes : Classes
         The classes; a subclass in none of them is a class of its own.
     rejected : sequence of Rejected, optional
-        Intervals that a person has rejected for a class, which are its negatives: for one of its subclasses, or for
-        all of them if the class is named. They come last.
+        Intervals that a person has rejected. An interval is a negative of the subclass that it was rejected for, or of
+        all subclasses if it was rejected for a class. Rejected intervals come after clips.
     """
     of = classes.of_subclass()
     label = {one.subclass: of.get(one.subclass, one.subclass) for one in clips}
@@ -240,7 +243,7 @@ def allowed_features(feature_set: FeatureSet, sets: Sequence[str]) -> int:
 
 
 def strict_template(training: TrainingSet, setting: LearningSettings) -> QuantisedTemplate:
-    """Return the template whose columns become keyframes: entries that agree and hold for `steady` columns.
+    """Return the template whose columns become keyframes; its fixed entries hold for `steady` columns on either side.
 
     If no entry is constant for so long, entries that are constant in their own column are used.
 

@@ -108,11 +108,11 @@ class QueryReport:
     keyframes : tuple of KeyframeReport
         The keyframes of all alternatives.
     ranges, takes, frames_kept : int
-        The numbers of ranges found, of takes that have any, and of frames in the ranges.
+        The numbers of ranges found, of takes with a range, and of frames in the ranges.
     frames_searched : int
         The number of frames of all takes that were searched.
     milliseconds : float
-        The time of the search in the lists, which only the explanation does.
+        The time of the search in the lists, which is done for the explanation only.
     times : Times
         The times of the other steps.
     """
@@ -182,11 +182,12 @@ def explain_store(store: Store, queries: Sequence[KeyframeQuery], take_filter: s
 def explain_search(store: Store, queries: Sequence[KeyframeQuery], take_filter: str | None = None) -> pa.Table:
     """Return the explanation of a search as a table: the steps before it, then the steps of each query.
 
-    The first steps are shared by all queries: "takes", their filter; "open", mapping the index; "lists", reading the
-    lists of the keyframes. Then follow, for each query, "takes", if it has a filter of its own; "1", "2", ..., its
-    keyframes as written ("2a" and "2b" if the features of one are in two sets, "2.1" for the first keyframe of a second
-    alternative); "search", the search in the slices; "hits", the ranges found. The steps "lists" and keyframes are done
-    only for the explanation: a search without one does "takes", "open" and "search".
+    All queries share the first steps: "takes" applies the filter of the search, "open" maps the index, "lists" reads
+    the lists of the keyframes. The other steps belong to one query: "takes" applies the filter of the query, if it has
+    one; "1", "2", ... make the lists of its keyframes as written ("2a" and "2b" if the features of a keyframe are in
+    two sets, "2.1" for the first keyframe of a second alternative); "search" is the search in the slices, and "hits"
+    are the ranges found. Only the explanation needs "lists" and the steps of keyframes; a search without explanation
+    consists of "takes", "open" and "search".
 
     Parameters
     ----------

@@ -30,7 +30,7 @@ PIECE_BLOCKS = 32_768
 """The number of blocks of 64 frames (19 hours in all) that a thread searches at a time, in less than 1 ms per query."""
 
 WORTH_BLOCKS = 131_072
-"""The number of blocks, times the number of keyframe chains, from which on threads gain more than their start costs."""
+"""The number of blocks times the number of keyframe chains above which threads save more time than they cost."""
 
 _JOINED_BLOCKS = 256
 """The largest number of blocks of unrequested takes between requested ones that are searched and then discarded."""

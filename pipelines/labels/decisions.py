@@ -94,9 +94,9 @@ def record_decisions(store: Store, rows: Sequence[Mapping[str, Any]], remarks: I
     store : Store
         The store; it shows the new labels afterwards.
     rows : sequence of mapping
-        Columns of labels; `take`, `class`, `start`, `stop` and `origin` are required. `names` are all names of the
-        class of the interval, if a decision on one of them is a decision on all. If `of_person` is true, or
-        `limb` is given, decisions of several persons are kept separately.
+        Columns of labels; `take`, `class`, `start`, `stop` and `origin` are required. `names` are the classes under
+        which an earlier decision on the interval is looked up, such as class and subclass of an annotation; by default
+        only `class`. If `of_person` is true, or `limb` is given, decisions of several persons are kept separately.
     remarks : iterable of str, optional
         Remarks on what was excluded before.
     """
@@ -240,10 +240,11 @@ def import_labels(
     If somebody has examined a limb of a take, or all limbs, without marking an error, a negative label `error` of the
     whole take records this.
 
-    If they correct annotations, then in the takes that the files name, an annotation that is unchanged in them is
-    accepted, a moved one is corrected, a missing one is rejected, and a new segment is drawn. An annotation with
-    another class is corrected, and rejected for its former class. An unchanged annotation that a person has rejected or
-    moved before keeps that decision. If they correct labels, these are moved, renamed, withdrawn and drawn likewise.
+    If the files correct annotations, decisions concern the takes that the files name. An annotation that is unchanged
+    in the files is accepted, a moved one is corrected, a missing one is rejected, and a new segment is drawn. An
+    annotation with another class is corrected, and rejected for its former class. An unchanged annotation that a person
+    has rejected or moved before keeps the earlier decision. If the files correct labels, labels are moved, renamed,
+    withdrawn and drawn likewise.
 
     Parameters
     ----------
@@ -252,7 +253,7 @@ def import_labels(
     files : sequence of LabelFile
         The files; segments that the store already has as labels are skipped.
     corrects : {"annotations", "labels"}, optional
-        The kind of segments that `labels export` wrote and a person changed; None for files with labels of their own.
+        The kind of segments that `labels export` wrote and a person changed; None for files that were not exported.
     stage : str, optional
         The stage whose annotations were corrected; by default that of the current pipeline.
     **more : str, optional
@@ -261,10 +262,10 @@ def import_labels(
     Raises
     ------
     ParameterError
-        `corrects` is something else.
+        `corrects` has another value.
     KinedexError
-        No take of the files is in the store, a segment ends after its take, or annotations are corrected of which there
-        are none in these takes.
+        No take of the files is in the store, a segment ends after its take, or the files correct annotations of takes
+        that were not annotated.
     """
     proposed = proposed_labels(store, files, corrects, stage, **more)
     return replace(record_decisions(store, proposed.rows, proposed.remarks), unmatched=proposed.unmatched)
@@ -354,7 +355,7 @@ def _corrections(
     if one.after is not None:
         row = _drawn(one.after, "drawn" if before is None else "corrected", more)
         if before is not None and one.change == "moved":
-            row["class"] = before["subclass"] or before["class"]  # it becomes an example of this
+            row["class"] = before["subclass"] or before["class"]  # the label becomes an example of this subclass
         rows.append(row)
     return rows
 

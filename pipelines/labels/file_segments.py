@@ -56,7 +56,7 @@ class PlacedFiles:
     covered : tuple of ManualSegment
         Whole takes in which an annotator has examined a limb, or all limbs, without marking an error.
     remarks : tuple of str
-        Takes and segments that were excluded.
+        Remarks on takes and segments that were excluded.
     unmatched : tuple of UnmatchedLabels
         The labels that match no take, file by file.
     """
@@ -146,20 +146,20 @@ def segment_differences(
 ) -> list[SegmentDifference]:
     """Compare two lists of segments take by take; segments about limbs are compared by limb and person.
 
-    Segments with the same class, start and stop are equal; then those with the same start and stop but another class
-    are renamed; then those of a class that overlap are moved, pairs with the largest overlap first. The remaining ones
-    were removed or added.
+    Segments are paired in three steps. Segments with the same class, start and stop are equal. Of the others, segments
+    with the same start and stop but another class are renamed. Then, overlapping segments of a class are moved, pairs
+    with the largest overlap first. The remaining segments were removed or added.
 
     Parameters
     ----------
     before, after : iterable of ManualSegment
         The lists.
     tolerance : float, optional
-        Starts or stops that differ by at most this are equal.
+        The largest difference of starts or stops that count as equal.
 
     Returns
     -------
-    list of Difference
+    list of SegmentDifference
         The differences, sorted by take and start.
     """
     groups: dict[tuple[str, str, str], tuple[list[ManualSegment], list[ManualSegment]]] = defaultdict(lambda: ([], []))
@@ -208,7 +208,7 @@ def _of_group(before: list[ManualSegment], after: list[ManualSegment], tolerance
 
 
 def with_take_names(store: Snapshot, files: Sequence[LabelFile]) -> tuple[list[LabelFile], list[str]]:
-    """Replace names in label files that are no takes' names by the takes whose files have these names.
+    """Replace names of files, which label files may give instead of names of takes, by the names of their takes.
 
     If files have equal stems, their takes are named by paths, and a label file that gives the stem matches several
     takes. Its labels are assigned to each of them if all contain the same motion.
@@ -225,8 +225,8 @@ def with_take_names(store: Snapshot, files: Sequence[LabelFile]) -> tuple[list[L
     files : list of LabelFile
         The files with the names of takes.
     remarks : list of str
-        Remarks on names of several takes, on names of one take that match others as well, and on names that match takes
-        with different motion and are not replaced.
+        Remarks on names that stand for several takes, on names of a take that match the files of other takes as well,
+        and on names that match takes with different motion, which are not replaced.
     """
     columns = ["name", "source", "format", "checksum", "person"]
     rows = store.take_rows.select([one for one in columns if one in store.take_rows.column_names]).to_pylist()

@@ -144,7 +144,7 @@ class LabelEdits:
             self._add({**row, "id": id, "replaces": standing and standing["id"]})
 
     def restore(self, ids: Sequence[str], made: Sequence[str], back: Sequence[str]) -> None:
-        """Undo the edit that made some rows: earlier labels become valid again, and its rows become invalid.
+        """Undo an edit: labels that it replaced become valid again, and the rows that it made become invalid.
 
         To redo the edit, call this again: `made` are then the rows of the undo, and `back` the labels of the edit.
 
@@ -212,7 +212,7 @@ class LabelEdits:
         return None
 
     def _copy(self, row: Row) -> Row:
-        """Return the columns of a label that its successor inherits; its checksum becomes that of the take."""
+        """Return the columns that the successor of a label inherits; it does not inherit the checksum of the take."""
         kept = ("take", "class", "start", "stop", "limb", "verdict", "source", "note")
         return {key: row[key] for key in kept}
 

@@ -1,4 +1,4 @@
-"""Read label files, find the differences between two, and make the labels of takes that new ones get."""
+"""Read label files, compare two of them, and collect the labels of takes that are written to label files."""
 
 from __future__ import annotations
 
@@ -72,7 +72,7 @@ class FileDifferences:
     unit : str
         The unit of all rows: "frames" of the store's rate, "source frames" or "seconds".
     remarks : tuple of str
-        Takes and segments that were excluded.
+        Remarks on takes and segments that were excluded.
     unmatched : tuple of UnmatchedLabels
         The labels that match no take of the store, file by file.
     """
@@ -91,8 +91,8 @@ def label_differences(before: Path, after: Path, store: Store | None = None, *, 
     before, after : Path
         A label file, or a folder of them.
     store : Store, optional
-        The store of their takes; rows are then in its frames, and files of all formats can be compared. Without one,
-        the rows have the unit of the files.
+        The store of the labelled takes. With a store, rows have its frames as unit, and files of all formats can be
+        compared; without a store, rows have the unit of the files.
     every : bool, optional
         True to include segments that are equal.
 

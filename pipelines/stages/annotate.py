@@ -164,7 +164,7 @@ class Done:
     kept : int
         The number of takes whose earlier annotations were up to date.
     searched : dict of int to float
-        For each take_id the fraction of its frames that templates were matched in.
+        The fraction of the frames of each take in which templates were matched, by take_id.
     """
 
     segments: int

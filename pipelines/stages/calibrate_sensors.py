@@ -37,7 +37,7 @@ class CalibrateSensors(Stage[CalibrationSettings]):
     }
 
     def reading(self, params: CalibrationSettings, store: Store) -> Reading:
-        """Return a digest of the columns that identify the takes for which sensors stayed in place on the body."""
+        """Return a digest of the columns that tell during which takes the sensors were not moved on the body."""
         return Reading(hash_of(sorted(_wear_periods(store, params.wearing).items(), key=lambda item: item[0])), "")
 
     def run(self, context: StageContext, params: CalibrationSettings) -> dict[str, object]:
@@ -88,7 +88,7 @@ def _remarks(rows: list[dict[str, Any]]) -> list[str]:
 
 
 def _wear_periods(store: Store, columns: list[str]) -> dict[int, Hashable]:
-    """Return a dict from take id to a key that is equal for takes with the same mounts: column values, or the id."""
+    """Return a key for each take_id, equal for takes with the same mounts: column values, or the name of the take."""
     rows = store.take_rows.to_pylist()
     known = list(rows[0]) if rows else []
     for column in columns:
@@ -103,7 +103,7 @@ def _wear_periods(store: Store, columns: list[str]) -> dict[int, Hashable]:
 
 
 def _table(rows: list[dict[str, Any]]) -> ResultTable:
-    """Return a row for each limb: the number of takes, and medians of the measures of calibration quality."""
+    """Return a table with a row for each limb: the number of takes, and medians of the measures of quality."""
     table = ResultTable(("limb", "takes", "below 15°", "median of these", "observability"))
     for limb in sorted({row["limb"] for row in rows}):
         own = [row for row in rows if row["limb"] == limb]

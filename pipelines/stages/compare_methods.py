@@ -87,7 +87,7 @@ def _remarks(study: Study) -> list[str]:
 
 
 def _store_metrics(context: StageContext, plan: Plan, study: Study | None) -> None:
-    """Store the metrics of every split and method; a method repeated from the stage annotate has the split's name."""
+    """Store the metrics of every split and method, named after the split alone if a stage's method is repeated."""
     tables = [
         metrics_rows(
             Evaluation(

@@ -157,7 +157,7 @@ def _label_row(one: PlacedLabel) -> dict[str, Any]:
 
 
 def _table(rows: list[dict[str, Any]]) -> ResultTable:
-    """Return rows for all limbs and labelled groups: best threshold by frames, stored runs, agreement of annotators."""
+    """Return a table of the detectors, for all limbs and for labelled groups, each at its best threshold by frames."""
     names = ("limbs", "detector", "against", "τ", "P", "R", "F (frames)", "F (segments)")
     printed = any(row.get("printed_p1") is not None for row in rows)
     table = ResultTable((*names, *(("printed P / R",) if printed else ())), texts=frozenset({0, 1, 2}))

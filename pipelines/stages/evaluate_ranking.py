@@ -47,9 +47,9 @@ class Params(StageParameters):
     where: str = Field("class IS NULL", description="takes to judge: a SQL filter over the columns of takes")
     clips: str = Field("class IS NOT NULL", description="clips to judge: a SQL filter over the columns of takes")
     leave_out: str | None = Field(
-        "actor", description="column of takes: the clips of each of its values are ranked, the others learned from"
+        "actor", description="column of takes; the clips of each value are ranked by templates learned from other clips"
     )
-    folds: list[Fold] = Field([], description="instead of leave_out: folds of your own")
+    folds: list[Fold] = Field([], description="folds by filters of takes, used instead of leave_out")
     templates: Kind = Field("soft", description="which templates: soft or hard")
     delta: float = Field(0.1, ge=0, lt=0.5, description="template values within delta of 0 or 1 count")
     tau: float = Field(0.1, gt=0, le=1, description="recall is reported at this threshold")

@@ -90,7 +90,7 @@ def _file_of(row: dict[str, Any]) -> DepthRecordingsFile | None:
 
 
 def _table(rows: list[dict[str, Any]]) -> ResultTable:
-    """Return a row for each take, and one for all of them."""
+    """Return a table of errors with a row for each take, and one for all takes together."""
     table = ResultTable(("take", "mean cm", "median", "90 %", "off by > 10 cm", "five ends", "frames", "unseen"))
     for row in rows:
         if row["scope"] in ("take", "all") and row["frames"]:

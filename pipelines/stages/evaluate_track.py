@@ -90,7 +90,7 @@ class EvaluateTrack(Stage[TruthParameters]):
 
 
 def _sensor_table(rows: list[dict[str, Any]]) -> ResultTable:
-    """Return a row for each take and each of its limbs: the angles between take and sensors, in degrees."""
+    """Return a table with a row for each take and each limb: the angles between take and sensors, in degrees."""
     table = ResultTable(("take", "limb", "mean °", "sd", "median", "max"), texts=frozenset({0, 1}))
     for row in sorted(rows, key=lambda row: (_subject(row["take"]), -row["take"].endswith(TRACKED))):
         texts = (f"{row[name]:.1f}" for name in ("mean_deg", "sd_deg", "median_deg", "max_deg"))
@@ -99,7 +99,7 @@ def _sensor_table(rows: list[dict[str, Any]]) -> ResultTable:
 
 
 def _table(rows: list[dict[str, Any]]) -> ResultTable:
-    """Return a row for each take: the distances of its limbs from the truth, in millimetres."""
+    """Return a table with a row for each take: the distances of its limbs from the truth, in millimetres."""
     table = ResultTable(("take", "mean mm", "sd", "max", "in failures", "elsewhere"))
     parts = {(row["take"], row["name"]): row["mean_mm"] for row in rows if row["scope"] == "part"}
     for row in sorted(rows, key=lambda row: (_subject(row["take"]), -row["take"].endswith(TRACKED))):

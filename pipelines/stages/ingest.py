@@ -117,7 +117,7 @@ class Ingest(Stage[IngestParameters]):
                 writer.put_results(kind, table, stage=context.key(), run=context.run)
             if (params.strict and failures) or not (plan.unchanged or done.takes):
                 writer.commit()
-                raise _nothing_more(context, params, found, failures)
+                raise _ingest_error(context, params, found, failures)
             surplus = [*plan.surplus, *done.surplus]
             _report_persons(context, params, done, surplus)
             _report_unused(context, mappings, done)
@@ -145,7 +145,7 @@ class Ingest(Stage[IngestParameters]):
         }
 
 
-def _nothing_more(
+def _ingest_error(
     context: StageContext, params: IngestParameters, found: Scan, failures: Sequence[Failure]
 ) -> KinedexError:
     """Return the error of an ingest that stopped at a file, or that could read no file."""

@@ -95,7 +95,7 @@ def _report(context: StageContext) -> dict[str, object]:
 
 
 def _table(figures: Mapping[str, ErrorFigures]) -> ResultTable:
-    """Return a row for each limb: its number of frames, their errors, and the fraction of frames above τ."""
+    """Return a table with a row for each limb: its number of frames, errors, and the fraction of frames above τ."""
     table = ResultTable(("limb", "frames", "mean", "sd", "above τ"))
     for limb in sorted(figures):
         table.add(limb, f"{figures[limb].frames:,}", *figures[limb].texts())

@@ -95,10 +95,10 @@ def _rank(context: StageContext, store: Store, searched: Sequence[RankedTemplate
             rank_takes(store, group, params.tau, 1, f"take_id = {take_id}", workers)
     if len(free) > 1:
         context.message(
-            f"{len(free)} templates in one pass, and reading is that of the pass; of its ranking each has its part of "
-            "the columns"
+            f"{len(free)} templates were ranked in one pass: each row shows the reading time of the whole pass, and a "
+            "share of the ranking time by the number of columns"
         )
-    context.message("reading: takes are listed, words read and coded, keyframes looked up; ranking: what comes then")
+    context.message("reading: listing takes, reading and coding words, looking up keyframes; ranking: all that follows")
     found: dict[str, Ranking] = {}
     with context.progress("templates", len(searched)) as progress:
         for group in groups:
@@ -110,11 +110,20 @@ def _rank(context: StageContext, store: Store, searched: Sequence[RankedTemplate
 
 @dataclass(frozen=True)
 class Lists:
-    """The keyframe search of one class (thesis, Table 3.2).
+    """Statistics of the keyframe search of one class (thesis, Table 3.2).
 
-    keyframes: number K. stiffness: mean over the keyframe gaps. segments: number in the inverted lists of all
-    keyframes. seconds: duration of the search in the bit slices of the index; lists_seconds: duration of
-    the search by inverted lists, without reading them.
+    Attributes
+    ----------
+    keyframes : int
+        The number K of keyframes.
+    stiffness : float or None
+        The mean stiffness of the gaps between keyframes; None if there are none.
+    segments : int
+        The number of segments in the inverted lists of all keyframes.
+    seconds : float
+        The time of the search in the bit slices of the index.
+    lists_seconds : float
+        The time of the search by inverted lists, without reading the lists.
     """
 
     keyframes: int
@@ -147,7 +156,7 @@ def _shown(
     rankings: Sequence[Ranking],
     lists: dict[str, Lists],
 ) -> ResultTable:
-    """Return a row for each subclass: the keyframe search, the frames that it keeps, and the ranking in these."""
+    """Return a table with a row for each subclass: its keyframe search, the frames that this keeps, and its ranking."""
     columns = ["subclass", "columns", "skipped", "reading ms", "ranking ms", "hits", "best"]
     if lists:
         columns[2:2] = ["K", "mean σ", "Σ|Λ|", "search ms", "in lists", "kept"]

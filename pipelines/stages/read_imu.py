@@ -120,7 +120,7 @@ class ReadImu(Stage[ReadImuParameters]):
 
 
 def _show(context: StageContext, unchanged: int) -> None:
-    """Show the warnings of sensors, and the stored numbers of sensors, samples and kinds of orientation source."""
+    """Show warnings of sensors, the numbers of stored recordings and sensors, and the sources of orientations."""
     stored: list[dict[str, Any]] = earlier_rows(context.open(), "imu_recordings", context.key())
     rows = [row for row in stored if row["limb"] is not None]
     warnings = [f"{row['file']}: warning: {row['sensor']}: {text}" for row in rows for text in row["warnings"]]

@@ -82,7 +82,7 @@ def _fixed(value: float, digits: int) -> str:
 
 
 def _table(rows: list[dict[str, Any]]) -> ResultTable:
-    """Return a row for each recording with its offset and the correlations that show how certain it is."""
+    """Return a table with a row for each recording: the offset, and correlations that show how certain it is."""
     columns = ("take", "recording", "offset s", "ppm", "correlation", "next best")
     table = ResultTable(columns, texts=frozenset({0, 1}))
     for row in rows[:_SHOWN]:

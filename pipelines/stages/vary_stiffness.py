@@ -83,7 +83,10 @@ class VaryStiffness(Stage[Params]):
 
 
 def _shown(trials: Sequence[Trial]) -> ResultTable:
-    """Return a row for each variant, over the same classes: those with queries if there are any, as on the page."""
+    """Return a table with a row for each variant of the queries.
+
+    All rows refer to the same classes, as on the page: to those with queries, or to all classes if none has a query.
+    """
     asked = {trial.judged.label for trial in trials if trial.variant == WRITTEN}
     columns = ("gaps", "classes", "kept", "to find", "found below τ", "at any rank", "mean AP")
     table = ResultTable(columns, title="rankings by stiffness of the queries")

@@ -1,6 +1,6 @@
-"""Find frames that may contain hits, and thresholds below which there are enough, by the coarse copy of the index.
+"""Find the frames that may contain hits, by the coarse copy of the index, so that most takes need not be read.
 
-Most takes need not be read then. A granule is a block of `GRANULE` consecutive frames of a take.
+A granule is a block of `GRANULE` consecutive frames of a take.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ from kinedex.pipelines.templates.ranked_hits import RankedTemplate
 from kinedex.storage.store.store import Store
 
 WORTH_FRAMES = 500_000
-"""The number of frames from which on it pays to search the index for a low threshold first."""
+"""The number of frames above which a search of the index for a low threshold saves time."""
 
 SAMPLED = 6
 """The number of granules that are searched for each requested hit, as several of them belong to one hit."""
@@ -152,9 +152,9 @@ def first_thresholds(
 ) -> list[float]:
     """Return for each template a threshold below which enough hits are likely.
 
-    It is the cost of the last of the best hits in the granules of the index with the lowest bounds, or `tau` if
-    computing it does not pay. Hits below a lower threshold are the first of the hits below tau: they come in the order
-    of their costs, and only a better hit excludes another. If they are enough, they are the result.
+    The threshold is the cost of the last of the best hits in the granules with the lowest bounds, or `tau` if computing
+    this does not pay. The hits below a lower threshold are the first of the hits below `tau`, because hits are ordered
+    by cost and only a better hit excludes another. If there are enough of them, they are the result.
 
     Parameters
     ----------

@@ -112,7 +112,7 @@ def template_of_chosen(
 
 
 def label_of(one: Hit) -> str:
-    """Return the name of an example that a hit was chosen to be."""
+    """Return the name of a chosen interval, "take[start:stop]", with the prefix "mirror of " if it is mirrored."""
     take, start, stop = one.interval
     return f"{'mirror of ' if one.mirrored else ''}{take}[{start}:{stop}]"
 

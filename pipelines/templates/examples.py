@@ -64,7 +64,7 @@ class ExampleParameters(BaseModel):
 
 @dataclass(frozen=True)
 class Example:
-    """An interval of a take that shows a class, or that does not.
+    """An interval of a take that shows a class, or that a person has rejected for the class.
 
     The words of an interval are those of the take, so that features of its first and last frames depend on frames
     beyond it.
@@ -72,9 +72,9 @@ class Example:
     Attributes
     ----------
     take_id : int
-        Id of the take.
+        The id of the take.
     take : str
-        Its name.
+        The name of the take.
     start, stop : int
         The frames [start, stop).
     frames : int

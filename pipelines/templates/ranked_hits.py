@@ -1,4 +1,4 @@
-"""Define the templates of a ranking, and the ranking of each: its hits as a table, and the work to find them."""
+"""Define the templates to rank by, and the ranking of a template: a table of hits, and the work to find them."""
 
 from __future__ import annotations
 

@@ -39,7 +39,7 @@ BATCH_FRAMES = 200_000
 """The number of frames that a thread reads and ranks at a time (under two hours); a longer take is its own batch."""
 
 MAX_PROMISING = 0.4
-"""The largest share of frames, after exclusion by the index, for which these are ranked alone; else all are ranked."""
+"""The largest fraction of frames left by the index for which only these frames are ranked; above it, all are."""
 
 Found = tuple[list[Hits], float, list[float]]
 """The hits of each template in a batch, the seconds of reading, and those of ranking by each template."""
@@ -55,11 +55,11 @@ def rank_takes(
 ) -> list[Ranking]:
     """Rank the takes of a store by several templates, in one pass over the words.
 
-    Hits of equal cost are ordered by name of the take, and within a take by their stop: the best 3 are the first of the
-    best 10, whatever takes share a batch and in whatever order they were ingested. Memory does not grow with the
-    archive: besides the hits that are kept, each thread holds one or two batches. The hits are the same for any number
-    of threads, and for templates together or separately; the number of frames that a bound excludes depends on the hits
-    that are known when a batch begins.
+    Hits of equal cost are ordered by the name of the take, and within a take by their stop. Therefore, the best 3 hits
+    are the first of the best 10, whatever takes share a batch and in whatever order they were ingested. Memory does not
+    grow with the archive, because each thread holds one or two batches besides the hits that are kept. The hits are the
+    same for any number of threads, and for templates together or separately. The number of frames that a bound excludes
+    can differ, because it depends on the hits that are known when a batch begins.
 
     Parameters
     ----------
@@ -74,7 +74,7 @@ def rank_takes(
     where : str, optional
         A SQL filter over the columns of takes; by default all takes.
     workers : int, optional
-        The number of threads; by default that of the cores.
+        The number of threads; by default one per core.
 
     Returns
     -------
@@ -328,8 +328,8 @@ def rank_both_sides(
 ) -> list[Ranking]:
     """Rank the takes of a store by templates and by their mirror images, with one list of hits for each template.
 
-    If a hit of the template and one of its image overlap, the better one is kept, and the template's own if they are
-    equal. The best 3 hits are the first of the best 10, as in `rank_takes`.
+    If a hit of the template and a hit of its image overlap, the better hit is kept; if both are equal, that of the
+    template. The best 3 hits are the first of the best 10, as in `rank_takes`.
 
     Parameters
     ----------

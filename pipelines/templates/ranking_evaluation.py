@@ -1,7 +1,7 @@
-"""Evaluate rankings: hits in takes against manual segments, clips not learned from, and the stiffness experiment.
+"""Evaluate rankings of hits in takes and of clips that were not learned from, and vary the stiffness of queries.
 
-The stiffness experiment ranks within hits of queries: the fractions of frames that queries keep, precision and recall,
-by the stiffness of gaps.
+Hits in takes are compared with manual segments. For each stiffness of the gaps in queries, the hits within the frames
+that the queries keep are evaluated.
 """
 
 from __future__ import annotations
@@ -181,7 +181,7 @@ def evaluate_clips(
 
 
 def mean_average_precision(judged: Sequence[EvaluatedRanking]) -> float:
-    """Return the mean over classes of the mean over folds; NaN if there was nothing to find."""
+    """Return the average precision, averaged over folds and then over classes; NaN if there was nothing to find."""
     by_label: dict[str, list[float]] = {}
     for one in judged:
         if one.total:
@@ -247,7 +247,7 @@ class Trial:
         `EVERYWHERE` (no preselection), `WRITTEN`, or a stiffness as text.
     stiffness : float, optional
         The stiffness of all gaps.
-    judged : Judged
+    judged : EvaluatedRanking
         The evaluation of the ranking.
     kept : float
         The fraction of frames that was ranked.

@@ -28,7 +28,7 @@ FARTHEST = 1.0
 
 @dataclass(frozen=True)
 class RankingQuestion:
-    """A question to a ranking: how near to a template a hit must be, in which takes, and how many are wanted.
+    """The options of a ranking: thresholds, the takes to search, and the number of hits.
 
     Attributes
     ----------
@@ -45,7 +45,7 @@ class RankingQuestion:
     nearest : int
         The number of best matches to return for each template without a hit.
     workers : int, optional
-        The number of threads; by default that of the cores.
+        The number of threads; by default one per core.
     """
 
     delta: float = DELTA
@@ -58,7 +58,7 @@ class RankingQuestion:
 
 
 USUAL = RankingQuestion()
-"""The question with the default thresholds, in all takes."""
+"""The default options, with which all takes are searched."""
 
 
 @dataclass(frozen=True)
@@ -111,7 +111,7 @@ def rank_store(
     kind: Kind = "soft",
     stage: str | None = None,
 ) -> StoreRanking:
-    """Rank the places in an archive by their distance to templates.
+    """Rank intervals of the takes of a store by their distance to templates.
 
     Parameters
     ----------

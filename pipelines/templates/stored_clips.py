@@ -1,4 +1,4 @@
-"""Read the clips that templates were learned from: words, costs, poses by column, and the nearest one of a hit."""
+"""Read the clips that templates were learned from, compare them with templates, and find those nearest to hits."""
 
 from __future__ import annotations
 
@@ -35,9 +35,9 @@ class StoredClip:
     Attributes
     ----------
     place : int
-        Its index among the clips of the template.
+        The index of the clip among the clips of the template.
     name : str
-        Its name: that of the take, with the interval if it is not the whole take.
+        The name of the take, followed by the interval if the clip is not the whole take.
     take : str
         The take.
     start, stop : int
@@ -177,7 +177,7 @@ def nearest_examples(
     store : Store
         The store of the takes and the clips.
     hits : mapping of (take, class, start, stop) to str
-        The subclass of each hit, which determines its template; hits without one are left out.
+        The subclass of each hit, which determines its template; hits without a subclass are excluded.
     templates : sequence of LearnedFrom
         Learned templates, with the names of their clips.
     progress : callable
@@ -215,7 +215,7 @@ def clips_of(store: Store, template: LearnedFrom) -> list[tuple[str, int, int]]:
 
 
 def mirrored_clips(origin: str) -> int:
-    """Return the number of a template's clips, at the end, that are mirrored, according to its origin."""
+    """Return how many clips of a template are mirrored, according to its origin; they come after the others."""
     found = _MIRRORED.search(origin)
     return int(found[1]) if found else 0
 

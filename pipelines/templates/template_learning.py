@@ -52,7 +52,7 @@ class TrainingClips:
     words : tuple of uint64 arrays (L,)
         The words of each clip.
     mirrored : int
-        The number of clips, at the end, that are clips of `source` with left and right exchanged.
+        The number of clips of `source` with left and right exchanged, which come after the other clips.
     source : str
         The subclass of the mirrored clips.
     remarks : tuple of str
@@ -62,7 +62,7 @@ class TrainingClips:
     known : int
         The mask of the features known in all clips, with the bits of a word. Only these are learned.
     actors : tuple of str
-        The actor of each clip; by default all the same. Of large classes, clips are drawn evenly over actors.
+        The actor of each clip; by default the same for all. Clips of large classes are drawn evenly over actors.
     """
 
     subclass: str
