@@ -1,1 +1,1 @@
-"""Annotation: label the frames of takes with classes by templates, and reuse annotations that are up to date."""
+"""This package labels the frames of takes with classes by templates, and reuses annotations that are up to date."""

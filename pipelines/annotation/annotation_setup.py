@@ -222,7 +222,7 @@ def template_learner(
 
 
 def single_examples_of(store: Store, params: MethodParameters, templates: TemplateParameters) -> Single:
-    """Return a function that makes each example of an annotator a template; it reads all words of the store once."""
+    """Return a function that makes each example of an annotator a template; the words of the store are read once."""
     features = len(store.feature_set.features)
     usual = cache(lambda: usual_postures(store.words(None).best_known, features))
     weights = feature_weights(templates.weights, store.feature_set)

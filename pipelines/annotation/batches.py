@@ -40,11 +40,11 @@ class TakeAnnotation:
     take_id : int
         The take.
     segments : tuple of Segment
-        Its segments, in the order of their starts.
+        The segments of the take, in the order of their starts.
     preselected : float64 array (S,)
         The fraction of the take's frames in which each template was matched.
     curves : float32 array (S, L), optional
-        Its distance curves, if they are stored; ∞ for templates that are not applied to the take.
+        The distance curves, if they are stored; ∞ for templates that are not applied to the take.
     applied : bool array (S,), optional
         False for templates that were not applied because the take lacks too many of their features; None if all were.
     confidences : tuple of float, optional
@@ -123,7 +123,7 @@ def split_takes(take_ids: Iterable[int], frames: Iterable[int]) -> list[tuple[in
 
 
 def annotate_batch(batch: Batch) -> list[TakeAnnotation]:
-    """Read the words of a batch and annotate them; runs in a worker."""
+    """Read the words of a batch and annotate them, in a worker."""
     words = batch.store.words(batch.take_ids)
     if not batch.code:
         return annotate_words(batch.annotator, words, batch.store_curves, batch.store)
@@ -292,7 +292,7 @@ def matched_ranges(annotator: Annotator, words: TakeWords, store: Store | None =
 
 
 def _curves(annotator: Annotator, words: TakeWords, ranges: Sequence[I64]) -> F64:
-    """Return all curves, float64 (S, L); templates that are matched in all frames are computed in one pass."""
+    """Compute all distance curves, float64 (S, L), in one pass for the templates that are matched in all frames."""
     curves = np.empty((len(annotator.templates), len(words.words)))
     everywhere = [index for index, queries in enumerate(annotator.queries) if not queries]
     if everywhere:

@@ -205,7 +205,7 @@ def _learned(method: str, found: Sequence[JudgedSegments], class_count: int) -> 
 
 
 def annotate_part(part: CalibrationFold) -> JudgedSegments:
-    """Annotate the takes of one fold, and mark which segments are right; runs in a worker.
+    """Annotate the takes of one fold, and mark which segments are right, in a worker.
 
     Segments of classes without examples, such as combinations, are ignored: none of them could be right.
     """

@@ -133,7 +133,7 @@ class ThesisMethod:
         templates : sequence of QuantisedTemplate, length C
             The templates that can be applied, restricted to these features.
         chosen : int64 array (C,)
-            Their indices among all templates.
+            The indices of these templates among all templates.
         """
         return ThesisMethod(tuple(templates), self.class_index[chosen], self.thresholds)
 
@@ -194,7 +194,7 @@ class BestMethod:
     def annotate(
         self, words: TakeWords, ranges: Sequence[I64], promising: Sequence[I64] | None = None
     ) -> list[list[Segment]]:
-        """Label takes; the cost of a segment is its smallest distance, NaN if no warping path ends in it.
+        """Label takes; the cost of a segment is its smallest distance, or NaN if no warping path ends in the segment.
 
         `promising` holds the `promising_ranges` of each take, if they are known.
         """

@@ -79,7 +79,7 @@ class MethodParameters(BaseModel):
         return [self.queries] if isinstance(self.queries, str) else list(self.queries or ())
 
     def thresholds(self, classes: Sequence[str], calibrated: Mapping[str, float]) -> dict[str, float]:
-        """Return the threshold of each class: its own, else the calibrated one, else the common one.
+        """Return the threshold of each class: that of `tau_by_class`, else the calibrated one, else the common one.
 
         Raises
         ------

@@ -62,7 +62,7 @@ class PromisingRanges:
     stops: I64
 
     def of(self, keys: U64) -> tuple[Bool, I64]:
-        """Return which examples are known, bool (N,), and their ranges, int64 (R, 3): index in `keys`, start, stop."""
+        """Return whether each key is known, bool (N,), and rows of index in `keys`, start and stop, int64 (R, 3)."""
         if not len(self.keys):
             return np.zeros(len(keys), np.bool_), np.empty((0, 3), np.int64)
         order = np.argsort(self.keys)
@@ -229,7 +229,7 @@ class SingleExamples:
 
     @cached_property
     def keys(self) -> U64:
-        """A hash of each example and of everything except words that its promising ranges depend on, uint64 (E,)."""
+        """The key of each example, uint64 (E,): a hash of everything but words that determines its promising ranges."""
         common = hashlib.sha256(f"{self.row.decoding!r}{self.row.usual.shape}".encode() + self.row.usual.tobytes())
         found = []
         for template in self.row.templates:

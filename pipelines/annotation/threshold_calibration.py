@@ -119,9 +119,10 @@ def calibrate(
 
 
 def fold_costs(fold: Fold) -> F64:
-    """Return the cost of each clip, then of each rejected interval, for each template; runs in a worker.
+    """Compute the costs of clips and rejected intervals for each template, in a worker.
 
-    The array is float64 (templates, clips and intervals), ∞ where nothing matches or a template is not applied.
+    The array is float64 (templates, clips and intervals), with intervals after clips. An entry is ∞ if the template
+    does not match or is not applied.
     """
     words = [*(one for clips in fold.clips for one in clips.words), *(one.words for one in fold.rejected)]
     known = [*(clips.known for clips in fold.clips for _ in clips.words), *(one.known for one in fold.rejected)]

@@ -47,13 +47,13 @@ class PipelineStage:
     Attributes
     ----------
     name : str
-        Its name in the pipeline.
+        The name of the stage in the pipeline.
     kind : Stage
-        Its kind.
+        The kind of stage.
     inputs : dict of str to str
         Input role → the name of the stage that fills it.
     params : BaseModel
-        Its parameters.
+        The validated parameters.
     unset : frozenset of str
         The parameters that neither the user nor the user's file sets. Each has its default, or the default of a
         setting of a shipped pipeline.
@@ -290,7 +290,7 @@ class _PipelineReader:
         return settings[whole[1]] if whole else _SETTING.sub(lambda found: str(settings[found[1]]), value)
 
     def _inputs(self, name: str, kind: Stage[BaseModel]) -> dict[str, str]:
-        """Return the stage for each input role: the one that the file names, else the only one of the right kind."""
+        """Return the stage for each input role: the stage that the file names, else the only one of the right kind."""
         given = self._entries[name].inputs
         for role in given:
             if role not in kind.inputs:

@@ -29,7 +29,7 @@ _log = logging.getLogger("kinedex.stages")
 
 
 def feature_set_for(store: Store | None, given: str | None = None) -> FeatureSet:
-    """Return the features that a stage works with: those given, else those of a store, else the shipped ones.
+    """Return the feature set that a stage works with: the given set, else that of the store, else the shipped set.
 
     A store that was made with the shipped set gets the set as it is shipped now, so that a change of that set is
     noticed; a store made with a user's own set keeps that set.

@@ -280,7 +280,7 @@ class DaskExecutor:
                 future.cancel()
 
     def _result(self, future: Future[Result]) -> Result:
-        """Return the result of a task; if the worker that holds it dies, wait for another to compute it again."""
+        """Return the result of a task; if the worker that holds it dies, wait until it is computed again."""
         for _ in range(TRIES):
             self._wait(future)
             try:
@@ -377,7 +377,7 @@ def _sees(path: str) -> bool:
 
 
 def _shown(item: object) -> str:
-    """Return a short description of a task for messages: its attribute `subject` if it has one, else its `repr`."""
+    """Return a short description of a task for messages: the attribute `subject`, or the `repr` if there is none."""
     text = str(getattr(item, "subject", None) or repr(item))
     return text if len(text) <= 300 else f"{text[:300]}…"
 
@@ -388,7 +388,7 @@ def cores() -> int:
 
 
 def batches_of(items: Iterable[Item], sizes: Iterable[int], most: int) -> list[tuple[Item, ...]]:
-    """Divide items, in their order, into batches whose sizes sum to at most `most`; a larger item is its own batch."""
+    """Divide items, in their order, into batches of a total size of at most `most`; a larger item is a whole batch."""
     batches: list[list[Item]] = []
     room = 0
     for item, size in zip(items, sizes, strict=True):

@@ -45,7 +45,7 @@ class KernelCompilation:
 
 
 def balanced(calls: Sequence[str], parts: int) -> list[list[str]]:
-    """Divide kernel calls among processes; kernels of one file stay together, because they call each other.
+    """Divide kernel calls among processes; kernels of one file stay together, because such kernels call each other.
 
     Parameters
     ----------

@@ -97,7 +97,7 @@ def source_files(
     run: str,
     wait: Wait,
 ) -> SourceFiles:
-    """Compare the source files of a pipeline with those before the run, and its failures with the remembered ones.
+    """Compare source files and failures of a pipeline with the files before a run and with remembered failures.
 
     Parameters
     ----------
@@ -106,7 +106,7 @@ def source_files(
     pipeline : Pipeline
         The pipeline.
     before : mapping of str to (str or None)
-        Its source files before the run, see `source_state`.
+        The source files of the pipeline before the run, see `source_state`.
     unmatched : iterable of UnmatchedLabels
         The labels that match no take.
     remember : bool

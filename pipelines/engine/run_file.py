@@ -32,9 +32,9 @@ class RunFile:
     Attributes
     ----------
     text : str
-        Its content.
+        The content of the pipeline file.
     files : dict of Path to bytes
-        The files beside it that its parameters name: copies of the user's files, and skeleton mappings of the store.
+        The files that the pipeline file names: copies of the user's files, and skeleton mappings of the store.
     remarks : tuple of str
         Remarks on what the file alone does not reproduce, and on how to reproduce it.
     """

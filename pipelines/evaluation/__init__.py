@@ -1,1 +1,1 @@
-"""Evaluation: compare annotations with ground truth, and compare annotation methods on splits and folds."""
+"""This package compares annotations with ground truth, and annotation methods with each other on splits and folds."""

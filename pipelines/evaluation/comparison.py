@@ -224,7 +224,7 @@ def _folds(context: StageContext, plan: Plan, split: Split, known: StudyMaterial
 
 
 def _swept(params: ComparisonParameters) -> list[Method]:
-    """Return each method with thresholds at each threshold of the sweep; methods that differ only in τ count once."""
+    """Return the methods that use thresholds at each threshold of the sweep, once for methods that differ only in τ."""
     curves = {method.curve_name: method for method in params.methods if method.annotation_method.uses_thresholds}
     return [method.at(tau) for method in curves.values() for tau in params.taus]
 

@@ -135,7 +135,7 @@ def run_cells(
 
 
 def annotate_task(task: Task) -> SegmentsByTake:
-    """Annotate some takes; runs in a worker."""
+    """Annotate the takes of a task, in a worker."""
     ids = sorted({take_id for test_take in task.test_takes for take_id in test_take.take_ids})
     words = task.store.words(ids)
     place = {take_id: index for index, take_id in enumerate(words.take_ids.tolist())}

@@ -59,7 +59,7 @@ class Method(MethodParameters):
 
 
 class Split(BaseModel):
-    """Takes to learn from and takes to annotate: one fold, one fold for each value of a column, or k folds."""
+    """The takes to learn from and to annotate, as one fold, a fold for each value of a column, or k folds."""
 
     model_config = ConfigDict(extra="forbid")
 

@@ -95,7 +95,7 @@ def capitalised(text: str) -> str:
 
 
 def overview(study: Study) -> list[ResultTable | Line]:
-    """Return tables of methods for each split, first by frames and segments, then by overlap; and remarks."""
+    """Return tables of methods for each split, first by frames and segments, then by overlap, and lines of remarks."""
     thesis = 4 * len({"frames", "segments"} & {*study.metrics})
     tables = []
     for result in study.splits:

@@ -254,7 +254,7 @@ def stored_test_takes(tested: pl.DataFrame, placed: GroundTruth, column: str) ->
     tested : polars.DataFrame
         Rows of takes.
     placed : GroundTruth
-        Their ground truth.
+        The ground truth of these takes.
     column : str
         The column of takes that results are divided by.
     """

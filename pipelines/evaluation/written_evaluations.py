@@ -52,7 +52,7 @@ class MethodEvaluation:
 
 @dataclass(frozen=True)
 class ReadEvaluations:
-    """The evaluations at a path as the user wrote it: those of one method, or of all if `method` is None.
+    """The evaluations of one method, or of all methods if `method` is None, at the path `text` that the user wrote.
 
     `remark` names the pipeline that was used if a store has evaluations of several and none was chosen.
     """

@@ -1,1 +1,1 @@
-"""Keyframe queries: search them in stores and in words, explain and propose them, and learn them from clips."""
+"""This package searches, explains and proposes keyframe queries, and learns them from clips."""

@@ -49,7 +49,7 @@ def preselect(
 def preselect_stored(
     store: Store, words: TakeWords, queries: Sequence[KeyframeQuery]
 ) -> dict[KeyframeQuery, TakeRanges]:
-    """Search takes of a store like `preselect`, in the slices of its index if it has one, else in the words.
+    """Search takes of a store like `preselect`, in the bit slices of its index, or in the words without an index.
 
     Parameters
     ----------

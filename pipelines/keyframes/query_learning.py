@@ -95,14 +95,14 @@ class TrainingSet:
     def key(self, setting: LearningSettings) -> str:
         """Return a hash of all inputs and parameters of a learning run except its number.
 
-        It begins with the hash of the clips (`clips_key`) and a hyphen. Parameters that affect only the evaluation of
+        The hash begins with that of the clips (`clips_key`) and a hyphen. Parameters that affect only the evaluation of
         finished runs are excluded.
         """
         same = replace(setting, margins="learned", alternatives=0, at_least="median")
         return f"{self.clips_key()}-{_digest(repr(sorted(asdict(same).items(), key=str)))}"
 
     def clips_key(self) -> str:
-        """Return a hash of the subclass, its clips, those of other classes, and the code that learns from them."""
+        """Return a hash of the subclass, the positive and negative clips, and the code that learns from them."""
         known = () if self.known == ALL_KNOWN else (self.known,)
         return _digest(repr((self.subclass, _code(), *known)), self.positives, self.negatives)
 
@@ -331,7 +331,7 @@ def make_outcome(task: ConsensusTask) -> Outcome:
 
 
 def _queries(found: Consensus, runs: Sequence[LearningRun], alternatives: int) -> list[Individual]:
-    """Return the consensus, then the runs of highest rank, each with different keyframes than those before it."""
+    """Return the consensus, then the runs of highest rank, each with other keyframes than the queries before it."""
     queries = [found.query]
     for run in sorted(runs, key=lambda run: -run.rank):
         if len(queries) < alternatives and all(run.query.masks.tolist() != one.masks.tolist() for one in queries):

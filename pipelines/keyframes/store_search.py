@@ -31,11 +31,11 @@ class SearchedTakes:
     Parameters
     ----------
     ids : int64 array (T,)
-        Their take ids, ascending.
+        The ids of the takes, ascending.
     names : list of str
-        Their names.
+        The names of the takes.
     frames : int64 array (T,)
-        Their lengths.
+        The lengths of the takes in frames.
     """
 
     ids: I64

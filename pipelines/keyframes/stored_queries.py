@@ -98,7 +98,7 @@ def stored_queries(store: Store, classes: Sequence[str] | None = None, pipeline:
 
 
 def queries_overview(outcomes: Sequence[Outcome], feature_set: FeatureSet, taken: Collection[str]) -> pa.Table:
-    """Return a row for each query with its origin, its keyframes, and the scores of the queries of its class.
+    """Return a table with a row for each query: its origin, its keyframes, and the scores of the queries of its class.
 
     Precision and recall are those of all queries of a class together on the training clips, and are in its first row
     only.

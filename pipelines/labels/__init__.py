@@ -1,1 +1,1 @@
-"""Labels of people: record them in a store, compare them with annotations, and import them from label files."""
+"""This package records labels of people in stores, compares them with annotations, and imports label files."""

@@ -87,7 +87,7 @@ def counts_of(rows: Iterable[Mapping[str, Any]]) -> dict[str, int]:
 
 
 def record_decisions(store: Store, rows: Sequence[Mapping[str, Any]], remarks: Iterable[str] = ()) -> RecordedDecisions:
-    """Record decisions; those that the store already has are skipped, and those with another verdict are replaced.
+    """Record the decisions that a store does not have yet; they replace decisions with another verdict.
 
     Parameters
     ----------
@@ -132,13 +132,13 @@ def new_rows(store: Store, rows: Iterable[Mapping[str, Any]]) -> tuple[list[Row]
 
 
 def _keys(row: Mapping[str, Any], name: str) -> tuple[tuple[object, ...], tuple[object, ...]]:
-    """Return two keys of a decision: one independent of the person, and one that includes the person."""
+    """Return two keys of a decision, the first without the person, and the second with the person."""
     key = (row["take"], name, row["start"], row["stop"], row.get("limb"))
     return key, (*key, row.get("annotator"))
 
 
 def annotations_of(store: Store, stage: str | None) -> tuple[str, pa.Table]:
-    """Return the name of an annotation stage, "<pipeline>/<stage>", by default the current one, and its annotations."""
+    """Return an annotation stage, by default the current one, as "<pipeline>/<stage>", and its annotations."""
     chosen = annotation_stage(store, stage)
     return chosen, store.result("annotations", run=store.manifest.stages[chosen].run)
 
@@ -146,7 +146,7 @@ def annotations_of(store: Store, stage: str | None) -> tuple[str, pa.Table]:
 def decide_annotations(
     store: Store, annotations: pl.DataFrame, *, accept: bool, source: str = "", **more: str | None
 ) -> RecordedDecisions:
-    """Record decisions on annotations as labels: accepted ones are positive, rejected ones negative.
+    """Record decisions on annotations as labels, positive if annotations are accepted and negative if rejected.
 
     The label of an accepted annotation has its subclass, and becomes an example of it; the label of a rejected one has
     its class, because the interval is no example of any of its subclasses.
@@ -189,7 +189,7 @@ def decision_row(one: Mapping[str, Any], accept: bool, source: str, more: Mappin
 
 
 def withdraw_labels(store: Store, labels: pl.DataFrame, **more: str | None) -> RecordedDecisions:
-    """Withdraw labels: each gets a row that withdraws it, and remains in the history.
+    """Withdraw labels by further rows; the labels remain in the history.
 
     Parameters
     ----------
@@ -361,7 +361,7 @@ def _corrections(
 
 
 def _drawn(one: ManualSegment, origin: str, more: Mapping[str, str | None]) -> Row:
-    """Return a label for a segment; the annotator is that of its file, or the person who corrected the class."""
+    """Return a row of labels for a segment, by the annotator in its file or the person who corrected its class."""
     edges = {"start": int(one.start), "stop": int(one.stop)}
     row = {"take": one.take, "class": one.label, **edges, "origin": origin, "source": one.where or None, **more}
     named = bool(one.annotator) and (bool(one.limb) or origin == "imported" or not more.get("annotator"))

@@ -240,7 +240,7 @@ def stored_labels(store: Store, takes: Sequence[str] = (), where: str | None = N
 
 
 def classes_of_takes(store: Store, takes: Sequence[str] = (), where: str | None = None) -> list[LabelsOfTake]:
-    """Return the class that each take has from its path or a table, as one label of all of its frames.
+    """Return the class of each take, which comes from its path or a table, as one label of all frames of the take.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""Stage learn_keyframes: learn keyframe queries for every subclass from its examples and those of all others."""
+"""Stage learn_keyframes: learn keyframe queries for every subclass from its examples and those of other classes."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ PAGE = "kinedex.reports.keyframes_page:keyframes_page"
 
 
 class LearnKeyframes(Stage[KeyframeParameters]):
-    """Learns keyframe queries for every subclass from its clips and those of all others."""
+    """Learns keyframe queries for every subclass from its examples and those of other classes."""
 
     name = "learn_keyframes"
     parameters = KeyframeParameters

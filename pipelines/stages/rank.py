@@ -156,7 +156,7 @@ def _shown(
     rankings: Sequence[Ranking],
     lists: dict[str, Lists],
 ) -> ResultTable:
-    """Return a table with a row for each subclass: its keyframe search, the frames that this keeps, and its ranking."""
+    """Return a table with a row for each subclass: its keyframe search, the frames that are kept, and its ranking."""
     columns = ["subclass", "columns", "skipped", "reading ms", "ranking ms", "hits", "best"]
     if lists:
         columns[2:2] = ["K", "mean σ", "Σ|Λ|", "search ms", "in lists", "kept"]

@@ -1,1 +1,1 @@
-"""Motion templates: learn them from examples, read and combine them, and rank archives by them."""
+"""This package learns motion templates from examples, reads and combines them, and ranks archives by them."""

@@ -57,7 +57,7 @@ class CandidateGranules:
         return CandidateGranules(self.takes[kept], self.granules[kept], self.bounds[kept])
 
     def ranges(self, columns: int, takes: I64, offsets: I64) -> I64:
-        """Return the frames that determine the hits in these granules: those of all paths, and one more on either side.
+        """Return the frames that determine the hits in these granules: all frames of paths, and one more on each side.
 
         Parameters
         ----------

@@ -1,4 +1,4 @@
-"""Learn templates from chosen intervals: similar to accepted ones, and dissimilar to rejected ones."""
+"""Learn a template from intervals that a person has accepted, in contrast to intervals that were rejected."""
 
 from __future__ import annotations
 

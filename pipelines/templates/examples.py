@@ -322,7 +322,7 @@ def rejected_examples(store: Store, params: ExampleParameters, *, of_any: bool =
 
 
 def examples_read(store: Store, params: ExampleParameters) -> Reading:
-    """Return a digest of the examples that the parameters select: of their names, classes, verdicts and words.
+    """Return a digest of the names, classes, verdicts and words of the examples that the parameters select.
 
     Parameters
     ----------

@@ -39,7 +39,7 @@ BATCH_FRAMES = 200_000
 """The number of frames that a thread reads and ranks at a time (under two hours); a longer take is its own batch."""
 
 MAX_PROMISING = 0.4
-"""The largest fraction of frames left by the index for which only these frames are ranked; above it, all are."""
+"""The largest fraction of frames left by the index for which only these are ranked; above it, all frames are."""
 
 Found = tuple[list[Hits], float, list[float]]
 """The hits of each template in a batch, the seconds of reading, and those of ranking by each template."""

@@ -150,7 +150,7 @@ def _same(hit: Interval, segment: Manual) -> bool:
 def clip_costs(templates: Mapping[str, QuantisedTemplate], clips: TakeWords) -> dict[str, np.ndarray]:
     """Return the smallest distance of each template in each clip, float64 (C,).
 
-    It is ∞ for clips that are too short for a template, and for clips that lack too many of its features.
+    The distance is ∞ for clips that are too short for a template, and for clips that lack too many of its features.
     """
     least = np.full((len(templates), len(clips)), np.inf)
     for mask in clips.masks:

@@ -1,4 +1,4 @@
-"""Templates of a store: list them, look them up by name, read and write their files, or make one from a clip."""
+"""List the templates of a store, look them up by name, read and write template files, and make them from clips."""
 
 from __future__ import annotations
 

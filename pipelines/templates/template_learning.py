@@ -271,7 +271,7 @@ def learning_tasks(
 
 
 def learn_task(task: Task) -> list[SubclassTemplate]:
-    """Learn the templates of a task; runs in a worker."""
+    """Learn the templates of a task, in a worker."""
     return [
         learned_template(one, kind, learn_template(one, kind, task.features, task.feature_weights))
         for one in task.clips

@@ -1,4 +1,4 @@
-"""Make the templates that parameters describe: learned from clips, read from files, or combined from others."""
+"""Make the templates that parameters describe, by learning from clips, reading files or combining templates."""
 
 from __future__ import annotations
 
