@@ -9,7 +9,7 @@ from kinedex.ops.wording import name_list, two_digits
 from kinedex.pipelines.engine.display import Line, ResultTable, Tone
 from kinedex.pipelines.evaluation.annotation_scores import F_FRAMES, F_SEGMENTS, THESIS_NAMES
 from kinedex.pipelines.evaluation.differences import Change, Comparison
-from kinedex.pipelines.evaluation.markdown import grid, plain
+from kinedex.reports.markdown import grid, plain
 
 VERDICTS = ("worse", "mixed", "better", "incomparable")
 HEADER = (f"{F_FRAMES} A", "B", "B − A", f"{F_SEGMENTS} A", "B", "B − A")

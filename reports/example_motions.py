@@ -11,10 +11,11 @@ from kinedex.ops.intervals import TakeSegment
 from kinedex.ops.templates.nearest_clip import nearest_clips
 from kinedex.ops.words import U64
 from kinedex.pipelines.engine.display import Progress, no_progress
-from kinedex.pipelines.evaluation.comparison_results import SplitResult, Study, take_title
+from kinedex.pipelines.evaluation.comparison_results import SplitResult, Study
 from kinedex.pipelines.evaluation.folds import TestTake
 from kinedex.pipelines.templates.stored_clips import Key, NearestExample, clip_intervals, nearest_examples, words_of
 from kinedex.pipelines.templates.template_learning import TrainingClips
+from kinedex.reports.comparison_tables import take_title
 from kinedex.reports.embedded_motions import MAX_BYTES, EmbeddedMotions
 from kinedex.reports.report_data import Template
 from kinedex.storage.store.store import Store

@@ -15,10 +15,10 @@ from kinedex.pipelines.evaluation.comparison_results import (
     SplitResult,
     Study,
     boundary_summary,
-    shown_parts,
-    take_title,
 )
-from kinedex.pipelines.evaluation.comparison_tables import (
+from kinedex.pipelines.evaluation.differences import Comparison
+from kinedex.pipelines.templates.stored_clips import Key
+from kinedex.reports.comparison_tables import (
     MEASURE_NAMES,
     capitalised,
     headings,
@@ -28,9 +28,8 @@ from kinedex.pipelines.evaluation.comparison_tables import (
     overlap_notes,
     six_measures,
     split_description,
+    take_title,
 )
-from kinedex.pipelines.evaluation.differences import Comparison
-from kinedex.pipelines.templates.stored_clips import Key
 from kinedex.reports.difference_tables import HEADER, VERDICTS, remarks, settings, signed_difference
 from kinedex.reports.embedded_motions import Embed, EmbeddedMotions, embed, motions_json
 from kinedex.reports.example_motions import with_study
@@ -189,7 +188,7 @@ def study_page(store: Store, study: Study, embedded: Embed, stage: str, progress
         Makes a progress bar of a description and a number of steps.
     """
     named = dict(store.takes().select("take_id", "name").iter_rows())
-    shown = {title: [named[part] for part in parts] for title, parts in shown_parts(study).items()}
+    shown = {title: [named[part] for part in parts] for title, parts in _shown_parts(study).items()}
     motions = embed(store, shown, embedded, stage, progress)
     motions, near = with_study(store, study, motions, progress)
     return methods_page(study, motions, near)
@@ -203,3 +202,13 @@ def comparison_page(comparisons: Sequence[Comparison]) -> str:
     return environment.get_template("compared.html.j2").render(
         comparisons=comparisons, verdicts=VERDICTS, header=HEADER
     )
+
+
+def _shown_parts(study: Study) -> dict[str, tuple[int, ...]]:
+    """Return the takes of the store that make up each take with a timeline, by title."""
+    parts = {}
+    for result in study.splits:
+        test_takes = {test_take.name: test_take for test_take in result.test_takes}
+        for name in result.shown().values():
+            parts[take_title(study, result, test_takes[name])] = test_takes[name].take_ids
+    return parts

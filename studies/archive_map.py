@@ -28,8 +28,8 @@ from threadpoolctl import threadpool_limits
 from kinedex.ops.arrays import F64, I64
 from kinedex.ops.maps.interval_numbers import interval_numbers, standardised
 from kinedex.ops.maps.layout import MIN_POINTS, map_clusters, map_layout
-from kinedex.pipelines.evaluation.markdown import grid
 from kinedex.pipelines.keyframes.slice_search import stored_words
+from kinedex.reports.markdown import grid
 from kinedex.storage.store.store import Store, open_store
 
 NEIGHBOURS = 10

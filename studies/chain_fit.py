@@ -12,7 +12,7 @@ import kinedex
 from kinedex.catalog.kinematics import load_kinematic_chain
 from kinedex.ops.body.kinematic_chain import forward
 from kinedex.ops.body.pose_fit import fit_poses, measured_body, start_poses
-from kinedex.pipelines.evaluation.markdown import grid
+from kinedex.reports.markdown import grid
 
 HEAD = ["take", "frames", "mean (mm)", "largest (mm)", "joint", "start, mean (mm)", "ms a frame"]
 

@@ -18,8 +18,8 @@ import numpy.typing as npt
 import kinedex
 from kinedex.library.take import Take
 from kinedex.ops.body.resample import covered_frames
-from kinedex.pipelines.evaluation.markdown import grid
 from kinedex.pipelines.export.request import FILE_FORMATS
+from kinedex.reports.markdown import grid
 from kinedex.storage.formats.motion.channel_cuts import SourceCut
 
 CONTEXTS_S = (0.0, 0.25, 0.5, 1.0)

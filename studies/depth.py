@@ -21,7 +21,7 @@ import numpy as np
 import numpy.typing as npt
 
 from kinedex.ops.body.joint_tree import JOINTS
-from kinedex.pipelines.evaluation.markdown import grid
+from kinedex.reports.markdown import grid
 from kinedex.storage.formats.depth.camera_file import read_camera
 from studies.depth_rows import (
     BODY,

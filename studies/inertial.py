@@ -19,7 +19,7 @@ from kinedex.ops.inertial.hand_eye import Options, Stream, StreamFit, calibrate
 from kinedex.ops.inertial.rotations import Z_TO_Y, angular_speed, conjugate, distance_deg, interpolate, multiply
 from kinedex.ops.inertial.time_offset import FineSearch, Speeds, TimeOffset, find_offset, refine_offset, sensor_speed
 from kinedex.ops.inertial.whitened_offset import whitened_offset
-from kinedex.pipelines.evaluation.markdown import grid
+from kinedex.reports.markdown import grid
 from studies.inertial_recordings import Worn, broad_trials, read_feet
 
 F64 = npt.NDArray[np.float64]

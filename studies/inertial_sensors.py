@@ -34,8 +34,8 @@ from kinedex.ops.inertial.sensor_model import (
     smooth,
     specific_force,
 )
-from kinedex.pipelines.evaluation.markdown import grid
 from kinedex.pipelines.inertial.limb_motion import take_limbs
+from kinedex.reports.markdown import grid
 from kinedex.storage.formats.imu.recording import read_recording
 from kinedex.storage.formats.motion.body_limbs import BodyLimbs, read_body_limbs
 from kinedex.storage.formats.motion.reader import DEFAULT_SETTINGS, MotionFile

@@ -17,7 +17,7 @@ import numpy as np
 
 from kinedex.ops.evaluation.metrics import pooled
 from kinedex.ops.inertial.rotations import distance_deg
-from kinedex.pipelines.evaluation.markdown import grid
+from kinedex.reports.markdown import grid
 from studies.inertial_comparisons import SHARES, TAUS, bases, known_by_joints, quantities, robustness
 from studies.inertial_judged import Judged, judge, judge_together
 from studies.inertial_trials import Source, read_trials, sources, synthetic

@@ -18,7 +18,7 @@ import numpy.typing as npt
 from kinedex.ops.priors.archive_poses import PriorMotion
 from kinedex.ops.priors.stabilisation import Settings
 from kinedex.ops.simulation.recording import Setup
-from kinedex.pipelines.evaluation.markdown import grid
+from kinedex.reports.markdown import grid
 from studies.camera_set import CHAIN, NEVER, Filmed, filmed
 from studies.prior_archive import DELTA, Clip, motions_of, read_clips
 from studies.ray_tracker import RayTracker

@@ -19,7 +19,7 @@ from kinedex.ops.body.pose_fit import measured_body
 from kinedex.ops.priors.archive_poses import PriorMotion
 from kinedex.ops.simulation.recording import LONG, Setup
 from kinedex.ops.tracking.body_estimate import mean_body
-from kinedex.pipelines.evaluation.markdown import grid
+from kinedex.reports.markdown import grid
 from studies.camera_set import (
     CHAIN,
     LONG_TAKES,

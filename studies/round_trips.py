@@ -23,8 +23,8 @@ from kinedex.ops.errors import KinedexError
 from kinedex.ops.synth.body import draw_actor
 from kinedex.ops.synth.performance import perform_clip
 from kinedex.ops.synth.solve import columns
-from kinedex.pipelines.evaluation.markdown import grid
 from kinedex.pipelines.export.request import FILE_FORMATS
+from kinedex.reports.markdown import grid
 from kinedex.storage.formats.motion.acclaim_writer import Dialect, write_amc, write_asf
 from kinedex.storage.formats.motion.channel_cuts import SourceCut
 from kinedex.storage.formats.motion.joint_motion import JointMotion

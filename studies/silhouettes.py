@@ -36,7 +36,7 @@ from kinedex.ops.tracking.contours import Observed, Silhouettes
 from kinedex.ops.tracking.frame_tracker import FrameTrack, track_frames
 from kinedex.ops.tracking.observations import PriorTerms
 from kinedex.ops.tracking.views import View, camera_view, render_mask
-from kinedex.pipelines.evaluation.markdown import grid
+from kinedex.reports.markdown import grid
 
 F64 = npt.NDArray[np.float64]
 Bool = npt.NDArray[np.bool_]

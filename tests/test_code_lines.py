@@ -7,8 +7,8 @@ from pathlib import Path
 
 from tests.code_lines import PRODUCT, ROOT, code_lines, lines_of, modules
 
-MOST_LINES = 22_150
-"""Lines of code of `pipelines`; it was to be 22,000, and may only shrink until it is."""
+MOST_LINES = 21_950
+"""The largest number of lines of code of `pipelines`; this bound is lowered when lines are saved, and never raised."""
 
 MOST_FOLDERS, MOST_PARAMETERS = 14, 8
 

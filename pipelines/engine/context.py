@@ -132,8 +132,8 @@ class StageContext:
         """Return the store's writer, a context manager that holds its lock."""
         return StoreWriter.open(self.store_path, self.feature_set, wait=self.wait)
 
-    def put_results(self, **tables: pa.Table) -> None:
-        """Store the results of the stage, one table for each kind, in one commit."""
+    def put_results(self, **tables: pa.Table | Iterable[pa.Table]) -> None:
+        """Store the results of the stage in one commit: one table, or several pieces of a table, for each kind."""
         with self.writer() as writer:
             for kind, table in tables.items():
                 writer.put_results(kind, table, stage=self.key(), run=self.run)

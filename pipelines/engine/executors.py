@@ -168,7 +168,11 @@ class ProcessExecutor(Executor):
     def _put(self, function: Callable[[Item], Result], item: Item) -> Future[Result]:
         """Submit a task to the pool, which may start workers; these ignore Ctrl-C from the start."""
         with ctrl_c_blocked():
-            return self._start().submit(function, item)
+            if self._pool is None:
+                # Workers are new processes on every system, because a fork with threads of libraries may hang.
+                context = multiprocessing.get_context("spawn")
+                self._pool = ProcessPoolExecutor(self.workers, mp_context=context, initializer=begin_worker)
+            return self._pool.submit(function, item)
 
     def _next(
         self, function: Callable[[Item], Result], waiting: deque[tuple[Item, Future[Result]]]
@@ -216,13 +220,6 @@ class ProcessExecutor(Executor):
                 process.join(max(0.0, deadline - time.monotonic()))
                 process.kill()
             self.close()
-
-    def _start(self) -> ProcessPoolExecutor:
-        if self._pool is None:
-            # Workers are new processes on every system: a fork of one with numba, polars or DuckDB threads may hang.
-            context = multiprocessing.get_context("spawn")
-            self._pool = ProcessPoolExecutor(self.workers, mp_context=context, initializer=begin_worker)
-        return self._pool
 
 
 class DaskExecutor:

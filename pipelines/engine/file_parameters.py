@@ -76,21 +76,11 @@ def setting_files(params: BaseModel) -> Iterator[Path]:
     for name, field in type(params).model_fields.items():
         kind = next((one.kind for one in field.metadata if isinstance(one, NamesFile)), None)
         value = getattr(params, name)
-        for text in _texts(value) if kind not in (None, "data") else ():
-            yield from _files(text, str(kind))
         for inner in value if isinstance(value, list) else [value]:
-            if isinstance(inner, BaseModel):
+            if isinstance(inner, str) and kind not in (None, "data"):
+                yield from _files(inner, str(kind))
+            elif isinstance(inner, BaseModel):
                 yield from setting_files(inner)
-
-
-def _texts(value: object) -> list[str]:
-    return (
-        [value]
-        if isinstance(value, str)
-        else [one for one in value if isinstance(one, str)]
-        if isinstance(value, list)
-        else []
-    )
 
 
 def _of_texts(value: Any, change: Callable[[str], str]) -> Any:

@@ -84,7 +84,7 @@ class Planner:
 
     def step(self, stage: PipelineStage) -> Step:
         """Return the step of a stage; call this for the stages in the order of the pipeline."""
-        store = _open(self.store_path)
+        store = existing_store(self.store_path)
         record = store.manifest.stages.get(f"{self.pipeline.name}/{stage.name}") if store else None
         reading = _reading(stage, store)
         parts = self._parts(stage, store, reading)
@@ -109,7 +109,7 @@ class Planner:
         self._done.add(step.stage.name)
         if "takes" not in step.parts:
             return step  # its fingerprint covers the takes that it has read
-        done = replace(step, parts={**step.parts, "takes": _takes(_open(self.store_path))})
+        done = replace(step, parts={**step.parts, "takes": _takes(existing_store(self.store_path))})
         self._fingerprints[step.stage.name] = done.fingerprint
         return done
 
@@ -157,7 +157,7 @@ def make_plan(pipeline: Pipeline, store_path: Path, force: frozenset[str] = froz
 
 def _with_remembered(pipeline: Pipeline, store_path: Path) -> Pipeline:
     """Return the pipeline, with unset parameters replaced by remembered values."""
-    store = _open(store_path)
+    store = existing_store(store_path)
     if store is None:
         return pipeline
     stages = (
@@ -166,7 +166,8 @@ def _with_remembered(pipeline: Pipeline, store_path: Path) -> Pipeline:
     return replace(pipeline, stages=tuple(stages))
 
 
-def _open(path: Path) -> Store | None:
+def existing_store(path: Path) -> Store | None:
+    """Return the newest version of a store, or None if the store does not exist yet."""
     return open_store(path, at="newest") if versions(path) else None
 
 

@@ -20,7 +20,7 @@ from kinedex.pipelines.engine.context import StageContext, feature_set_for
 from kinedex.pipelines.engine.display import Display, NoDisplay
 from kinedex.pipelines.engine.executors import Executor, make_executor
 from kinedex.pipelines.engine.known_failures import SourceFiles, source_files, source_state
-from kinedex.pipelines.engine.plan import FORCED, Planner, Step, make_plan
+from kinedex.pipelines.engine.plan import FORCED, Planner, Step, existing_store, make_plan
 from kinedex.pipelines.engine.run_id import new_run_id
 from kinedex.pipelines.engine.run_recorder import RunRecorder
 from kinedex.pipelines.labels.unmatched_labels import UnmatchedLabels, recorded_unmatched, unmatched_summary
@@ -223,7 +223,7 @@ def run_pipeline(
     history = RunRecorder(store_path, pipeline, record)
     run = _Run(pipeline, store_path, pool, terminal, resume, wait, record, history, options.accept)
     remember = (options.known_failures or pipeline.known_failures) == "remember"
-    before = source_state(open_store(store_path, at="newest") if versions(store_path) else None, pipeline)
+    before = source_state(existing_store(store_path), pipeline)
     steps: list[Step] = []
     try:
         pool.check(store_path)
@@ -311,10 +311,7 @@ def _run_step(run: _Run, planner: Planner, step: Step) -> StageRecord:
     stage = step.stage
     context = StageContext(
         store_path=run.store_path,
-        feature_set=feature_set_for(
-            open_store(run.store_path, at="newest") if versions(run.store_path) else None,
-            getattr(stage.params, "features", None),
-        ),
+        feature_set=feature_set_for(existing_store(run.store_path), getattr(stage.params, "features", None)),
         pipeline=run.pipeline.name,
         stage=stage.name,
         uses=stage.uses,

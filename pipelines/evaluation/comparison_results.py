@@ -94,23 +94,6 @@ class Study:
     class_of: dict[str, str] = field(default_factory=dict)
 
 
-def take_title(study: Study, result: SplitResult, test_take: TestTake) -> str:
-    """Return the name of a take, after that of its split if another split has a different take of the same name."""
-    same = [other for split in study.splits for other in split.test_takes if other.name == test_take.name]
-    alike = all(other.take_ids == test_take.take_ids for other in same)
-    return test_take.name if alike else f"{result.split.name}: {test_take.name}"
-
-
-def shown_parts(study: Study) -> dict[str, tuple[int, ...]]:
-    """Return the takes of the store that make up each take with a timeline, by title."""
-    parts = {}
-    for result in study.splits:
-        test_takes = {test_take.name: test_take for test_take in result.test_takes}
-        for name in result.shown().values():
-            parts[take_title(study, result, test_takes[name])] = test_takes[name].take_ids
-    return parts
-
-
 def boundary_summary(
     judgement: MethodScores, rate_hz: float, *, joined: bool = False
 ) -> dict[str, dict[str, float | int | None]]:

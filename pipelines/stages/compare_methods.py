@@ -20,7 +20,6 @@ from kinedex.pipelines.evaluation.annotation_scores import Evaluation, measures,
 from kinedex.pipelines.evaluation.comparison import Plan, compare_methods, plan_comparison
 from kinedex.pipelines.evaluation.comparison_parameters import ComparisonParameters
 from kinedex.pipelines.evaluation.comparison_results import Study, evaluation_rows, study_json
-from kinedex.pipelines.evaluation.comparison_tables import markdown, overview
 from kinedex.pipelines.evaluation.ground_truth import ground_truth_digest
 from kinedex.storage.formats.json_text import json_text
 from kinedex.storage.store.store import Store
@@ -29,6 +28,9 @@ FILES = ("methods.html", "methods.md", "methods.json")
 
 PAGE = "kinedex.reports.methods_page:study_page"
 """The function that draws the page of the stage."""
+
+MARKDOWN, OVERVIEW = "kinedex.reports.comparison_tables:markdown", "kinedex.reports.comparison_tables:overview"
+"""The functions that format the comparison as Markdown, and as tables for the terminal."""
 
 
 class CompareMethods(Stage[ComparisonParameters]):
@@ -62,7 +64,7 @@ class CompareMethods(Stage[ComparisonParameters]):
                 context.report_file(name).unlink(missing_ok=True)
             return {"splits": 0, "methods": len(plan.params.methods)}
         files = _write(context, params, study)
-        context.terminal.show(*overview(study))
+        context.terminal.show(*drawn_by(OVERVIEW)(study))
         context.message(*study.remarks, *_remarks(study))
         context.message(f"report: {(context.store_path / files[0]).resolve()}")
         first = study.splits[0]
@@ -107,7 +109,7 @@ def _write(context: StageContext, params: ComparisonParameters, study: Study) ->
     page = drawn_by(PAGE)(context.open(), study, params.embed, context.stage, context.progress)
     as_json = json_text(study_json(study))
     files = []
-    for name, text in zip(FILES, (page, markdown(study), as_json), strict=True):
+    for name, text in zip(FILES, (page, drawn_by(MARKDOWN)(study), as_json), strict=True):
         path = context.report_file(name)
         write_page(text, path)
         files.append(path.relative_to(context.store_path).as_posix())

@@ -48,10 +48,7 @@ class BuildPoseDatabase(Stage[PoseDatabaseParameters]):
             except KinedexError as fault:
                 context.message(f"all takes are read: {fault}")
         made = build_pose_database(store, takes, params.distance_m, earlier, context.message, context.progress)
-        with context.writer() as writer:
-            writer.put_results("poses", pose_tables(made, context.run), stage=context.key(), run=context.run)
-            writer.put_results("pose_takes", take_tables(made, context.run), stage=context.key(), run=context.run)
-            writer.commit()
+        context.put_results(poses=pose_tables(made, context.run), pose_takes=take_tables(made, context.run))
         frames = sum(int((one.stands_for >= 0).sum()) for one in made.takes)
         poses = sum(len(one.rows) for one in made.takes)
         lacking = [one.take for one in made.takes if one.bone_lengths is None]

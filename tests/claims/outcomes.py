@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from kinedex.pipelines.evaluation.markdown import grid
+from kinedex.reports.markdown import grid
 
 LONGEST = 100
 """Characters of a claim in the table."""

@@ -21,7 +21,6 @@ from kinedex.pipelines.engine.runner import run_pipeline
 from kinedex.pipelines.evaluation import comparison_cells
 from kinedex.pipelines.evaluation.comparison_parameters import METRICS, Method, Split
 from kinedex.pipelines.evaluation.comparison_results import SplitResult, Study
-from kinedex.pipelines.evaluation.comparison_tables import overview
 from kinedex.pipelines.evaluation.folds import Fold, TestTake
 from kinedex.pipelines.evaluation.method_scores import chosen_takes, joined_segments, score_method, segment_outcomes
 from kinedex.pipelines.keyframes import learning_runs as keyframe_runs
@@ -29,6 +28,7 @@ from kinedex.pipelines.stages.compare_methods import CompareMethods
 from kinedex.pipelines.stages.evaluate import Evaluate
 from kinedex.pipelines.stages.learn_keyframes import LearnKeyframes
 from kinedex.pipelines.stages.learn_templates import LearnTemplates
+from kinedex.reports.comparison_tables import overview
 from kinedex.storage.store.store import open_store
 from tests.pipelines.labelled import Line, clip, long_take, motion, write_store
 from tests.pipelines.study import Reading

@@ -11,8 +11,9 @@ from kinedex.ops.wording import counted, two_digits
 from kinedex.pipelines.engine.display import Line, ResultTable
 from kinedex.pipelines.evaluation.annotation_scores import F_FRAMES, F_SEGMENTS, MEASURES, THESIS_NAMES
 from kinedex.pipelines.evaluation.comparison_results import SplitResult, Study, boundary_summary
-from kinedex.pipelines.evaluation.markdown import grid, plain
+from kinedex.pipelines.evaluation.folds import TestTake
 from kinedex.pipelines.evaluation.method_scores import MethodScores, SegmentOutcome
+from kinedex.reports.markdown import grid, plain
 
 MEASURE_NAMES = ("P (frames)", "R (frames)", F_FRAMES, "P (segments)", "R (segments)", F_SEGMENTS)
 MAX_CONFUSIONS = 8
@@ -81,6 +82,13 @@ def split_description(result: SplitResult) -> str:
     segments = sum(len(test_take.truth) for test_take in result.test_takes)
     kind = "" if result.split.kind == result.split.name else f"{result.split.kind}; "
     return f"{kind}{parts}{counted(takes, 'take')} with {counted(segments, 'manual segment')}{folds}"
+
+
+def take_title(study: Study, result: SplitResult, test_take: TestTake) -> str:
+    """Return the name of a take, after that of its split if another split has a different take of the same name."""
+    same = [other for split in study.splits for other in split.test_takes if other.name == test_take.name]
+    alike = all(other.take_ids == test_take.take_ids for other in same)
+    return test_take.name if alike else f"{result.split.name}: {test_take.name}"
 
 
 def overlap_notes(study: Study) -> list[str]:
