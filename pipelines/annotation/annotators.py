@@ -78,7 +78,7 @@ class Annotator:
     def margins(self) -> tuple[tuple[tuple[int, int], ...], ...]:
         """The frames before and after a hit in which each template is matched, for each of its queries.
 
-        A query with alternatives has the widest of their margins, because any of them may have found a hit.
+        A query with alternatives has the widest margins of all alternatives, because any of these may have found a hit.
         """
         found = []
         for template, queries in zip(self.templates, self.queries, strict=True):
@@ -254,7 +254,7 @@ def unknown_targets(queries: Sequence[KeyframeQuery], classes: Classes) -> list[
     Raises
     ------
     KinedexError
-        There are queries, and all of them have such a target; the message names the nearest label.
+        There are queries, and all have an unknown target; the message names the nearest label.
     """
     unknown = sorted({query.target for query in queries if classes.class_of(query.target) is None})
     if queries and all(query.target in unknown for query in queries):

@@ -155,7 +155,7 @@ def calibrate_confidence(
     executor : Executor
         The workers.
     rejected : sequence of Rejected, optional
-        Intervals that people have rejected, held out like examples; every label that one of them gets is wrong.
+        Intervals that people have rejected, held out like examples; every label of such an interval is wrong.
     """
     some, every = [_thinned(one) for one in clips], classes.of_subclass()
     of_subclass = {one.subclass: every[one.subclass] for one in some if one.subclass in every}
@@ -207,7 +207,7 @@ def _learned(method: str, found: Sequence[JudgedSegments], class_count: int) -> 
 def annotate_part(part: CalibrationFold) -> JudgedSegments:
     """Annotate the takes of one fold, and mark which segments are right, in a worker.
 
-    Segments of classes without examples, such as combinations, are ignored: none of them could be right.
+    Segments of classes without examples, such as combinations, are ignored, because they cannot be right.
     """
     takes, offsets = part.takes, np.cumsum([0, *(len(one.words) for one in part.takes)]).astype(np.int64)
     masks = np.array([one.known for one in takes], np.uint64)

@@ -34,7 +34,7 @@ def setting_digest(annotator: Annotator, store_curves: bool, code: str) -> str:
     Parameters
     ----------
     annotator : Annotator
-        The annotator; its method holds thresholds only if it uses them.
+        The annotator; its method holds thresholds only if the method uses thresholds.
     store_curves : bool
         True if distance curves are stored.
     code : str

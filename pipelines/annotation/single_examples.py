@@ -1,8 +1,8 @@
 """The method `best` with every example as a template, for archives in which people have labelled little.
 
-A few examples of one class do not represent an archive: their average is vague where they differ, and the common
-postures of their frames are those of the class itself, so that they are no background for it. Rejected intervals
-resemble the class in everything that the average retains. Therefore every example is a template, every rejected
+A few examples of one class do not represent an archive. Where the examples differ, their average is vague. The postures
+that are common in the examples are postures of the class itself, and cannot serve as background. Rejected intervals
+resemble the class in everything that the average retains. Therefore, every example is a template, every rejected
 interval is a template that assigns no label, and the background is learned from all takes (`studies.explorer_decisions`
 compares the alternatives).
 """

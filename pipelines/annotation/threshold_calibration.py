@@ -65,16 +65,17 @@ def calibrate(
 ) -> Calibration:
     """Choose for each class the threshold of the highest F-measure, on clips of actors that were held out of learning.
 
-    The clips of one actor at a time are matched with templates learned from the clips of the others: the least distance
-    within a clip is its cost for a template, and its cost for a class is the least over the templates of the class. The
-    costs over all actors determine the threshold (`ops.annotation.calibration.best_threshold`).
+    The clips of one actor at a time are matched with templates learned from the clips of the other actors. The cost of
+    a clip for a template is the smallest distance within the clip; the cost for a class is the smallest one over the
+    templates of the class. The costs over all actors determine the threshold
+    (`ops.annotation.calibration.best_threshold`).
 
     Parameters
     ----------
     clips : sequence of TrainingClips
         The training clips by subclass.
     actors : mapping of str to str
-        The actor of each take by its name; clips without an actor count as those of one more actor.
+        The actor of each take by its name; clips without an actor count as clips of one more actor.
     classes : Classes
         The classes of the subclasses.
     delta : float
@@ -91,7 +92,7 @@ def calibrate(
     -------
     Calibration
         Thresholds of those classes that have templates. A class without clips, with clips of one actor, or with clips
-        that match nothing gets the threshold that is best over all classes; `remarks` name it.
+        that match nothing gets the threshold that is best over all classes; `remarks` name such classes.
 
     Raises
     ------

@@ -31,8 +31,8 @@ _log = logging.getLogger("kinedex.stages")
 def feature_set_for(store: Store | None, given: str | None = None) -> FeatureSet:
     """Return the feature set that a stage works with: the given set, else that of the store, else the shipped set.
 
-    A store that was made with the shipped set gets the set as it is shipped now, so that a change of that set is
-    noticed; a store made with a user's own set keeps that set.
+    A store that was made with the shipped set gets the currently shipped set, so that a change of the shipped set is
+    noticed. A store that was made with a user's set keeps this set.
 
     Parameters
     ----------

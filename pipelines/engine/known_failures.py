@@ -60,7 +60,7 @@ class SourceFiles:
     failed : tuple of FailedFile
         The files that failed; where failures are remembered, those that did not fail in the same way before.
     accepted : tuple of FailedFile
-        The files that fail as they did when the store remembered them.
+        The files that still fail in the way that the store remembers.
     """
 
     new: tuple[str, ...] = ()

@@ -43,7 +43,7 @@ def write_page(page: str, path: Path) -> int:
 def drawn_by(place: str) -> Callable[..., Any]:
     """Return the function that a text "module:name" names.
 
-    The code digest of a stage follows such texts, so that it covers the function although the stage does not import it.
+    The code digest of a stage follows such texts, and thus covers functions that the stage does not import.
     """
     found: Callable[..., Any] = resolve_name(place)
     return found

@@ -141,7 +141,7 @@ class RunOptions:
         The time to wait for another writer of the store; 0 fails at once. A run that has begun waits at least
         `COMMIT_SECONDS` between its stages and to commit.
     accept : bool, optional
-        True allows a stage to remove values from takes; by default it fails, and lists them.
+        True allows a stage to remove values from takes; by default, the stage fails and lists these values.
     known_failures : {"report", "remember"}, optional
         "remember" keeps failures in the store, so that a later run reports only new ones; by default, the value of the
         pipeline.
@@ -187,7 +187,7 @@ def run_pipeline(
         The directory of the store; it is created if missing.
     settings : mapping of str to object, optional
         Values for settings of the file by name, such as `{"source": "/my/archive"}`, and for parameters by
-        "stage.name", such as `{"annotate.tau": 0.06}`. Where exactly one stage has a parameter, its name is enough.
+        "stage.name", such as `{"annotate.tau": 0.06}`. If only one stage has a parameter, the stage may be omitted.
     assignments : mapping of str to str, optional
         The texts of `--set` on the command line, in place of `settings`; error messages then refer to commands.
     terminal : Display, optional

@@ -61,7 +61,7 @@ class Plan:
     params : ComparisonParameters
         The parameters, with at least one method and without repeated methods.
     truth : GroundTruthParameters
-        The parameters that select ground truth: those of `params` if it has any, else those of the stage evaluate.
+        The parameters that select ground truth: `params` if it sets any of them, else those of the stage evaluate.
     annotated : str, optional
         The stage `annotate` whose method is repeated, "<pipeline>/<stage>".
     remarks : tuple of str

@@ -79,7 +79,7 @@ class Comparison:
     other_truth : UnsharedContent
         Takes and classes whose manual labels differ.
     settings : tuple of (str, object, object)
-        The parameters that differ: name, value in A, value in B; None if one has no such parameter.
+        Name, value in A and value in B of the parameters that differ; None if an evaluation lacks the parameter.
     """
 
     a: str

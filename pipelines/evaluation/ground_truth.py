@@ -272,7 +272,7 @@ def ground_truth_rows(truth: GroundTruth, run: str) -> pa.Table:
 def ground_truth_digest(params: GroundTruthParameters, store: Store | None) -> str:
     """Return a hash of the label files.
 
-    If they cannot be found, the hash is a constant, so that the stage runs and reports the error.
+    If the files cannot be found, the hash is a constant, so that the stage runs and reports the error.
     """
     if params.ground_truth in (NONE, OWN_CLASS):
         return ""

@@ -159,8 +159,8 @@ def score_method(
 def joined_segments(outcome: Outcome, test_takes: Sequence[TestTake]) -> tuple[Outcome, list[TestTake]]:
     """Join segments of a class that touch or overlap, both automatic and manual ones.
 
-    People label repetitions in a row as one segment or as several; joining makes these the same. The confidence of a
-    joined segment is the average of its parts, weighted by frames.
+    People label repetitions in a row as one segment or as several; after joining, both ways of labelling are equal. The
+    confidence of a joined segment is the average over its parts, weighted by frames.
     """
     return {one.name: _joined(outcome[one.name]) for one in test_takes}, [
         replace(one, truth=tuple(_joined(one.truth))) for one in test_takes

@@ -70,13 +70,13 @@ def read_evaluations(text: str) -> ReadEvaluations:
     ----------
     text : str
         A store, a folder of reports (`…/results/reports/<pipeline>`), or a JSON file (methods.json, metrics.json, or
-        leave_one_out.json of earlier versions). `::PIPELINE` after a store selects a pipeline, by default the current
-        one, and `::METHOD` a method; both can be given, in this order.
+        leave_one_out.json of earlier versions). After a store, `::PIPELINE` selects a pipeline, by default the current
+        one. `::METHOD` selects a method, and can follow `::PIPELINE`.
 
     Raises
     ------
     KinedexError
-        There is no evaluation, a file is not one of these, or there is no such pipeline or method.
+        There is no evaluation, a file is no evaluation, or there is no such pipeline or method.
     """
     where, *names = text.split(MARK)
     path = Path(where).expanduser()

@@ -21,8 +21,8 @@ class KeyframeParameters(ExampleParameters):
     """The parameters of the stage `learn_keyframes`, with the values of the thesis (Chapter 4) as defaults.
 
     `configs/pipelines/keyframes.yaml` sets the values that are best for finding motions of people who are not in the
-    training set. Values that are not parameters are constants: those of the genetic algorithm are the defaults of
-    `EvolutionSettings`, those of rounds are in `kinedex.pipelines.keyframes.learning_runs`.
+    training set. Other values are constants: `EvolutionSettings` has the values of the genetic algorithm as defaults,
+    and `kinedex.pipelines.keyframes.learning_runs` has the values for rounds.
     """
 
     model_config = ConfigDict(extra="forbid", allow_inf_nan=False)

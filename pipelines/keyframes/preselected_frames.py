@@ -134,7 +134,8 @@ def template_ranges(
 ) -> I64:
     """Return the frames in which a template is matched: the union of the hits of its queries with their margins.
 
-    The hits of a query with alternatives get the widest of their margins, because any of them may have found a hit.
+    The hits of a query with alternatives get the widest margins of all alternatives, because any of these may have
+    found a hit.
 
     Parameters
     ----------

@@ -205,7 +205,7 @@ def training_sets(
     clips : sequence of TrainingClips
         The clips of each subclass.
     classes : Classes
-        The classes; a subclass in none of them is a class of its own.
+        The classes; a subclass that is in no class forms a class by itself.
     rejected : sequence of Rejected, optional
         Intervals that a person has rejected. An interval is a negative of the subclass that it was rejected for, or of
         all subclasses if it was rejected for a class. Rejected intervals come after clips.

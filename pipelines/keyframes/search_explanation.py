@@ -42,7 +42,7 @@ class KeyframeReport:
     Parameters
     ----------
     chain, number : int
-        The number of the alternative of the query, and of the keyframe in it as written, both from 1.
+        The number of the alternative of the query, and of the keyframe as written in the alternative, from 1.
     part : str
         "a", "b", ... for a keyframe with features in several sets, which has a report for each of them; else "".
     name, set, features, pattern : str
@@ -85,7 +85,7 @@ class Times:
     open : float
         Mapping the index; close to zero once a store has been searched.
     search : float
-        The search in the mapped slices; the first one of a process loads its compiled code as well.
+        The search in the mapped slices; the first search of a process also loads compiled code.
     read : float
         Reading the lists of all queries, only for the explanation.
     """

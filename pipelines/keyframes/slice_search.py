@@ -61,7 +61,7 @@ class SlicedWords:
     take_ids : int64 array (T,)
         The takes, ascending; take_ids[i] has index i.
     shards : tuple of Shard
-        The slices: those of a published index, or one shard in memory.
+        The slices of the shards of a published index, or of one shard in memory.
     feature_set : FeatureSet
         The features of the words.
     known : uint64 array (T,), optional
@@ -129,8 +129,8 @@ class SlicedWords:
     def search(self, queries: Sequence[KeyframeQuery], threads: int = 1) -> list[TakeRanges]:
         """Return the union of all hit ranges of each query and its alternatives, take by take.
 
-        Takes that lack features are searched with the known ones (`restricted_query`), and have no range for a query
-        that does not apply to them.
+        Takes that lack features are searched by their known features (`restricted_query`), and have no range for a
+        query that does not apply to them.
 
         Parameters
         ----------
@@ -254,8 +254,8 @@ def sliced_store(store: Store) -> SlicedWords:
 def stored_words(store: Store, take_ids: Sequence[int]) -> TakeWords:
     """Return the words of takes like `Store.words`, from the index of the store if it is valid.
 
-    The slices of an index are memory-mapped and hold a word in five bytes, so that reading its words is faster, by a
-    few milliseconds per hour of motion, than reading and decoding Parquet files.
+    The slices of an index are memory-mapped and hold a word in five bytes. Reading words from slices is therefore a few
+    milliseconds per hour of motion faster than reading and decoding Parquet files.
 
     Parameters
     ----------

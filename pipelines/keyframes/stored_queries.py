@@ -66,7 +66,7 @@ def stored_queries(store: Store, classes: Sequence[str] | None = None, pipeline:
     classes : sequence of str, optional
         The classes to read; by default all.
     pipeline : str, optional
-        The pipeline that learned them, or "<pipeline>/<stage>"; by default the one that the view `queries` shows.
+        The pipeline that learned the queries, or "<pipeline>/<stage>"; by default that of the view `queries`.
 
     Returns
     -------

@@ -148,8 +148,8 @@ def decide_annotations(
 ) -> RecordedDecisions:
     """Record decisions on annotations as labels, positive if annotations are accepted and negative if rejected.
 
-    The label of an accepted annotation has its subclass, and becomes an example of it; the label of a rejected one has
-    its class, because the interval is no example of any of its subclasses.
+    The label of an accepted annotation has the subclass of the annotation, and becomes an example of the subclass. The
+    label of a rejected annotation has the class, because the interval is no example of any subclass of the class.
 
     Parameters
     ----------
@@ -160,7 +160,7 @@ def decide_annotations(
     accept : bool
         True to accept, False to reject.
     source : str, optional
-        The stage of the annotations; by default the one in their columns `pipeline` and `stage`.
+        The stage of the annotations; by default the stage in the columns `pipeline` and `stage`.
     **more : str, optional
         `annotator` and `note`.
     """

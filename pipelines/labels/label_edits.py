@@ -89,7 +89,7 @@ class LabelEdits:
     def join(self, ids: Sequence[str], labels: Sequence[str]) -> None:
         """Join several labels of one take and class into one, from the first start to the last stop.
 
-        The first id is that of the joined label, the others are those of the rows that withdraw the other labels.
+        The first id is for the joined label, the other ids are for the rows that withdraw the other labels.
         """
         if ids[0] in self.known:
             return
@@ -289,7 +289,7 @@ def change_label(store: Store, id: str, *, annotator: str | None = None, **value
     Raises
     ------
     KinedexError
-        No label, or more than one, has such an id; or an equal label exists already.
+        No label or several labels have such an id, or an equal label exists already.
     ParameterError
         Nothing would change, or the interval is not within the take.
     """

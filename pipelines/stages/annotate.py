@@ -177,8 +177,8 @@ def _annotate(
 ) -> Done:
     """Annotate the takes whose annotations are out of date, and store the annotations of all takes.
 
-    Curves are written batch by batch, and those that are up to date stay in their files; segments are held in memory,
-    about a hundred bytes each.
+    Curves are written batch by batch, and curves that are up to date stay in their files. All segments are held in
+    memory, about a hundred bytes each.
     """
     setting = setting_digest(annotator, params.store_curves, context.code)
     prints = fingerprints(writer.store, takes, setting) if context.code else {}

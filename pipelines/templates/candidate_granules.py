@@ -154,7 +154,7 @@ def first_thresholds(
 
     The threshold is the cost of the last of the best hits in the granules with the lowest bounds, or `tau` if computing
     this does not pay. The hits below a lower threshold are the first of the hits below `tau`, because hits are ordered
-    by cost and only a better hit excludes another. If there are enough of them, they are the result.
+    by cost and only a better hit excludes another. If there are enough such hits, they are the result.
 
     Parameters
     ----------

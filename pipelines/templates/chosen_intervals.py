@@ -29,7 +29,7 @@ class ChosenTemplate:
     named : NamedTemplate
         The template, with the weights of features.
     clips : tuple of str
-        The intervals that it was learned from, as "name[start:stop]", mirrored ones with the prefix "mirror of ".
+        The intervals that were learned from, as "name[start:stop]"; mirrored ones have the prefix "mirror of ".
     remarks : tuple of str
         Remarks on intervals that were excluded.
     """

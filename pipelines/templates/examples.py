@@ -66,8 +66,8 @@ class ExampleParameters(BaseModel):
 class Example:
     """An interval of a take that shows a class, or that a person has rejected for the class.
 
-    The words of an interval are those of the take, so that features of its first and last frames depend on frames
-    beyond it.
+    The words of an interval are words of the take, so that the features of the first and last frames of the interval
+    depend on frames outside it.
 
     Attributes
     ----------
@@ -293,9 +293,9 @@ class Rejected:
 def rejected_examples(store: Store, params: ExampleParameters, *, of_any: bool = False) -> list[Rejected]:
     """Return the rejected intervals that the parameters select; an empty list if they do not select labels.
 
-    A rejected interval that overlaps a positive label of its class is excluded: its bounds were bad, but it shows the
-    class. With `of_any`, a rejected interval that overlaps a positive label of any class is excluded, because it is an
-    example of that class.
+    A rejected interval that overlaps a positive label of its class is excluded, because the interval shows the class
+    and only its start or stop was wrong. With `of_any`, a rejected interval that overlaps a positive label of any class
+    is excluded, because it is an example of that class.
     """
     if LABELS not in params.examples:
         return []

@@ -118,8 +118,8 @@ def names_filter(takes: Sequence[str]) -> str:
 def evaluate_hits(label: str, hits: pa.Table, truth: Sequence[Manual], tau: float) -> EvaluatedRanking:
     """Evaluate the ranked hits of a class by the manual segments of all classes.
 
-    A hit is right if its overlap with a segment of its class, which no better hit has matched, is at least half of the
-    shorter of the two; a second hit on one segment is wrong.
+    A hit is right if it overlaps a segment of its class by at least half of the shorter of the two, and if no better
+    hit has matched this segment. A second hit on a segment is wrong.
     """
     wanted = [segment for segment in truth if segment.label == label]
     taken: set[int] = set()

@@ -123,8 +123,8 @@ def rank_store(
     asked : RankingQuestion, optional
         Thresholds, takes, and the number of hits.
     queries : sequence of KeyframeQuery, optional
-        A template is ranked within the hits of the queries whose target has its name, and in all frames if it has
-        none; by default in all frames.
+        The queries that preselect frames. A template is ranked within the hits of the queries whose target is its name,
+        and in all frames if there are none. By default, all templates are ranked in all frames.
     kind : {"soft", "hard"}
         The kind of the learned templates.
     stage : str, optional

@@ -91,7 +91,7 @@ def choose_template(store: Store, name: str, kind: Kind = "soft", stage: str | N
     Raises
     ------
     KinedexError
-        There is none of that name or kind, or several stages have one; the message lists the existing ones.
+        There is no such template, or several stages have one; the message lists the existing templates.
     """
     every = stored_templates(store, stage)
     of_name = [each for each in every if each.one.subclass == name]
@@ -408,7 +408,7 @@ def write_template(made: NamedTemplate, features: FeatureSet, path: Path) -> Non
     Raises
     ------
     KinedexError
-        The extension is not one of these, a CSV file has another name than the template, or the folder is missing.
+        The extension is another one, a CSV file has another name than the template, or the folder is missing.
     """
     from kinedex.catalog.template_files import write_csv, write_yaml  # imported here, as few templates are written
     from kinedex.pipelines.engine.page_files import write_page

@@ -197,8 +197,8 @@ def usable_clips(
     Returns
     -------
     TrainingClips
-        The clips without invalid frames at their ends; clips with other invalid frames, or without any valid frame, are
-        excluded, and so are clips that lack a feature of the clip with most known features.
+        The clips without invalid frames at their ends. Clips are excluded if they have other invalid frames or no valid
+        frame, or if they lack a feature that is known in the clip with the most known features.
 
     Raises
     ------
@@ -227,7 +227,7 @@ def usable_clips(
         remarks.append(f"clips with invalid frames in the middle, excluded: {name_list(excluded)}")
     if shortened:
         remarks.append(f"clips with invalid frames at an end, which are cut off: {name_list(shortened)}")
-    # The mask with most features; among equal numbers that of most clips, then the greater one.
+    # Choose the mask with most features; of masks with equal numbers, that of most clips, then the greater mask.
     mask = max(Counter(masks[name] for name in kept).items(), key=lambda one: (one[0].bit_count(), one[1], one[0]))[0]
     lacking = [name for name in kept if mask & ~masks[name]]
     if lacking:

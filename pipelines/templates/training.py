@@ -213,8 +213,8 @@ def with_mirrored(
     clips : sequence of TrainingClips
         The clips of each class.
     mirror : mapping of str to str
-        A class, and the class that its mirrored clips are examples of. A class that has clips of its own gets the
-        mirrored ones after them; a class can be its own mirror image.
+        A class, and the class that its mirrored clips are examples of. In a class that has other clips, mirrored clips
+        come after them. A class can be its own mirror image.
     feature_set : FeatureSet
         The features, with their mirror images.
 
