@@ -32,13 +32,13 @@ FOLDS = 5
 MAX_CLIPS = 24
 """The largest number of examples of each subclass that are used, spread evenly over their names."""
 
-MAX_LAID = 16
+MAX_CLIPS_PER_TAKE = 16
 """The largest number of examples that are concatenated to one take."""
 
 MIN_SEGMENTS = 20
 """The smallest number of segments from which a confidence is learned, for a method without a prior."""
 
-Make = Callable[[Sequence[TrainingClips], Sequence[Rejected]], Annotator]
+MakeAnnotator = Callable[[Sequence[TrainingClips], Sequence[Rejected]], Annotator]
 """A function that makes an annotator with templates that it learns from clips, and with rejected intervals."""
 
 
@@ -57,15 +57,15 @@ class Target:
     frames: Sequence[int]
     actors: Sequence[str | None]
 
-    def seen(self, actors: Iterable[str | None]) -> bool:
+    def is_performed_by(self, actors: Iterable[str | None]) -> bool:
         """Return whether the given actors perform more than half of the takes to annotate."""
         known = set(actors) - {None}
         return 2 * sum(one in known for one in self.actors) > len(self.actors)
 
-    def laid(self, lengths: Sequence[int]) -> int:
+    def clips_per_take(self, lengths: Sequence[int]) -> int:
         """Return how many clips make a take of typical length, rounded to a power of two so that it seldom changes."""
         ratio = float(np.median(self.frames)) / max(float(np.median(lengths)), 1.0)
-        return int(2 ** np.clip(np.round(np.log2(max(ratio, 1.0))), 0, np.log2(MAX_LAID)))
+        return int(2 ** np.clip(np.round(np.log2(max(ratio, 1.0))), 0, np.log2(MAX_CLIPS_PER_TAKE)))
 
 
 @dataclass(frozen=True)
@@ -132,7 +132,7 @@ def calibrate_confidence(
     classes: Classes,
     method: str,
     target: Target,
-    make: Make,
+    make: MakeAnnotator,
     executor: Executor,
     rejected: Sequence[Rejected] = (),
 ) -> CalibratedConfidence:
@@ -162,10 +162,10 @@ def calibrate_confidence(
     prior = PRIORS.get(method, UNKNOWN)
     names = {one for each in some for one in each.of_takes} | {one.take for one in rejected}
     people = {name: actors.get(name) for name in names}
-    several = len(set(people.values())) > 1 and not target.seen(people.values())
+    several = len(set(people.values())) > 1 and not target.is_performed_by(people.values())
     groups = _parts({name: (people[name] or "") if several else name for name in names})
-    count = target.laid([len(words) for one in some for words in one.words] or [1])
-    parts = []
+    count = target.clips_per_take([len(words) for one in some for words in one.words] or [1])
+    folds = []
     for number in sorted(set(groups.values())):
         names = {take for take, part in groups.items() if part == number}
         rest = [part for one in some if (part := one.without(names)).names]
@@ -174,9 +174,9 @@ def calibrate_confidence(
         if theirs:
             annotator = make(rest, [one for one in rejected if one.take not in names])
             refused = [(one.known, "", one.words) for one in rejected if one.take in names]
-            takes = tuple(_laid_out(theirs, of_subclass, count, refused))
-            parts.append(CalibrationFold(annotator, prior.evidence, takes, frozenset(of_subclass.values())))
-    return _learned(method, list(executor.map(annotate_part, parts)), len(classes.names))
+            takes = tuple(_concatenated(theirs, of_subclass, count, refused))
+            folds.append(CalibrationFold(annotator, prior.evidence, takes, frozenset(of_subclass.values())))
+    return _learned(method, list(executor.map(annotate_fold, folds)), len(classes.names))
 
 
 _UNKNOWN = "no confidence: too few examples to leave some out, and the method has no confidence of its own"
@@ -204,21 +204,21 @@ def _learned(method: str, found: Sequence[JudgedSegments], class_count: int) -> 
     return CalibratedConfidence(confidence, len(right), int(right.sum()), remark)
 
 
-def annotate_part(part: CalibrationFold) -> JudgedSegments:
+def annotate_fold(fold: CalibrationFold) -> JudgedSegments:
     """Annotate the takes of one fold, and mark which segments are right, in a worker.
 
     Segments of classes without examples, such as combinations, are ignored, because they cannot be right.
     """
-    takes, offsets = part.takes, np.cumsum([0, *(len(one.words) for one in part.takes)]).astype(np.int64)
+    takes, offsets = fold.takes, np.cumsum([0, *(len(one.words) for one in fold.takes)]).astype(np.int64)
     masks = np.array([one.known for one in takes], np.uint64)
     known = None if (masks == ALL_KNOWN).all() else masks
     laid = TakeWords(np.arange(len(takes)), offsets, np.concatenate([one.words for one in takes]), known)
-    annotator = replace(part.annotator, confidence=None)
-    labels = [name in part.labels for name in annotator.classes]
+    annotator = replace(fold.annotator, confidence=None)
+    labels = [name in fold.labels for name in annotator.classes]
     found = [
         [segment for segment in one.segments if labels[segment.class_index]] for one in annotate_words(annotator, laid)
     ]
-    evidence = evidence_of(part.evidence, found, offsets, *annotator.shapes)
+    evidence = evidence_of(fold.evidence, found, offsets, *annotator.shapes)
     classes, right = [], []
     for take, segments in zip(takes, found, strict=True):
         for one in segments:
@@ -253,7 +253,7 @@ def _parts(group_of: Mapping[str, str]) -> dict[str, int]:
     return found
 
 
-def _laid_out(
+def _concatenated(
     clips: Sequence[TrainingClips],
     of_subclass: Mapping[str, str],
     count: int,

@@ -116,7 +116,7 @@ def calibrate(
     strangers = tuple(one for one in rejected if (actors.get(one.take) or "") not in known)
     if strangers:
         folds.append(Fold(tuple(learn(clips)), (), delta, strangers))
-    return _choose([*zip(folds, executor.map(fold_costs, folds), strict=True)], classes)
+    return _calibration([*zip(folds, executor.map(fold_costs, folds), strict=True)], classes)
 
 
 def fold_costs(fold: Fold) -> F64:
@@ -144,7 +144,7 @@ def fold_costs(fold: Fold) -> F64:
     return costs
 
 
-def _choose(found: Iterable[tuple[Fold, F64]], classes: Classes) -> Calibration:
+def _calibration(found: Iterable[tuple[Fold, F64]], classes: Classes) -> Calibration:
     of_subclass = classes.of_subclass()
     own: dict[str, list[float]] = {}
     others: dict[str, list[float]] = {}

@@ -99,7 +99,7 @@ class Ingest(Stage[IngestParameters]):
                 writer, context.feature_set, mappings, found, params.name, params.patterns, params.given
             )
             if plan.renamed and not params.prune:
-                raise _named_otherwise(plan)
+                raise _other_names_error(plan)
             unmatched = _report_changes(context, params, found, plan)
             _declare_columns(context, writer, params, metadata)
             # report errors of a table before files are read
@@ -294,7 +294,7 @@ def _report_unused(context: StageContext, mappings: Mappings, done: FilesRead) -
             )
 
 
-def _named_otherwise(plan: SourceChanges) -> NewStoreError:
+def _other_names_error(plan: SourceChanges) -> NewStoreError:
     """Return the error of a source whose takes the store has under other names, and would otherwise have twice."""
     _, before, now = plan.renamed[0]
     return NewStoreError(

@@ -185,11 +185,11 @@ def first_thresholds(
         return [one.lowest(sampled) for one in found]
 
     parts = list(in_threads(lowest, ids, workers))
-    bars = []
+    thresholds = []
     for place, template in enumerate(plain):
         own = joined_batches([one[place] for one in parts], ids).lowest(sampled)
-        bars.append(_threshold_of(store, sliced, template, own, tau, top))
-    return bars
+        thresholds.append(_threshold_of(store, sliced, template, own, tau, top))
+    return thresholds
 
 
 def _threshold_of(

@@ -94,18 +94,18 @@ def rank_takes(
     batches = list(_batches(dict(zip(ids, frames, strict=True)), store.known))
     threads = cores() if workers is None else workers
     ranked = _Pass(store, takes, batches, top, threads)
-    bars = first_thresholds(store, batches, templates, tau, top, threads)
-    found = ranked.rank(templates, bars, time.perf_counter() - begin)
-    unsure = [place for place, bar in enumerate(bars) if bar < tau and not _is_sure(found[place], bar, top)]
+    thresholds = first_thresholds(store, batches, templates, tau, top, threads)
+    found = ranked.rank(templates, thresholds, time.perf_counter() - begin)
+    unsure = [place for place, one in enumerate(thresholds) if one < tau and not _is_sure(found[place], one, top)]
     again = ranked.rank([templates[place] for place in unsure], [tau] * len(unsure), 0.0) if unsure else []
     for place, one in zip(unsure, again, strict=True):
         found[place] = one
     return found
 
 
-def _is_sure(ranking: Ranking, bar: float, top: int | None) -> bool:
+def _is_sure(ranking: Ranking, threshold: float, top: int | None) -> bool:
     """Return whether the hits below a threshold are certain to be the first ones below any greater threshold."""
-    return len(ranking) == top and round(ranking.hits.column("cost")[-1].as_py() * KEYS) + 2 <= round(bar * KEYS)
+    return len(ranking) == top and round(ranking.hits.column("cost")[-1].as_py() * KEYS) + 2 <= round(threshold * KEYS)
 
 
 @dataclass(frozen=True)
@@ -151,12 +151,12 @@ class _Pass:
         seconds = np.zeros(len(templates))
         # Once `top` hits are known, a hit above the last of them cannot enter. The others do not change, because
         # a hit excludes only overlapping hits of higher cost.
-        bars = list(first)
+        thresholds = list(first)
 
         def work(item: tuple[tuple[int, ...], int, list[float]]) -> Found:
             return self._rank_batch(templates, *item)
 
-        items = ((batch, mask, list(bars)) for mask, batch in self.batches)
+        items = ((batch, mask, list(thresholds)) for mask, batch in self.batches)
         for found, spent, each in in_threads(work, items, self.workers):
             reading += spent
             seconds += each
@@ -164,7 +164,7 @@ class _Pass:
                 best[place] = best[place].merged(hits, self.order, self.top)
                 if len(best[place]) == self.top:
                     # hits of equal cost (the same key, or within the tolerance below a threshold) may still enter
-                    bars[place] = min(bars[place], (round(float(best[place].costs[-1]) * KEYS) + 2) / KEYS)
+                    thresholds[place] = min(thresholds[place], (round(float(best[place].costs[-1]) * KEYS) + 2) / KEYS)
         takes, frames = self.takes.select(["take_id", "name"]), sum(self.takes.column("frames").to_pylist())
         values = [column.to_pylist() for column in takes.columns]  # `Table.take` would load `pyarrow.compute`
         rankings = []

@@ -14,7 +14,7 @@ from kinedex.pipelines.annotation.confidence_calibration import (
     MAX_CLIPS,
     CalibratedConfidence,
     Target,
-    _laid_out,
+    _concatenated,
     _parts,
     _thinned,
     calibrate_confidence,
@@ -111,8 +111,8 @@ def test_actors_are_dealt_whole_to_few_parts() -> None:
 def test_takes_are_about_as_long_as_those_to_annotate() -> None:
     some = [clips("jump", 1, PEOPLE, 0), clips("wave", 2, PEOPLE, 1)]
     for frames, count in ((1, 1), (12, 1), (40, 4), (50, 4), (10**9, 16)):
-        assert Target([frames], [None]).laid([12, 12]) == count
-        takes = list(_laid_out(some, {"jump": "jump", "wave": "wave"}, count))
+        assert Target([frames], [None]).clips_per_take([12, 12]) == count
+        takes = list(_concatenated(some, {"jump": "jump", "wave": "wave"}, count))
         assert len(takes) == 16 // count
         assert sum(len(one.words) for one in takes) == 16 * 12
         for one in takes:
@@ -120,8 +120,8 @@ def test_takes_are_about_as_long_as_those_to_annotate() -> None:
 
 
 def test_actors_are_known_where_most_takes_are_of_theirs() -> None:
-    assert Target([1, 1, 1], ["ann", "bob", None]).seen(["ann", "bob", None])
-    assert not Target([1, 1], ["ann", None]).seen(["ann", "bob", None])
+    assert Target([1, 1, 1], ["ann", "bob", None]).is_performed_by(["ann", "bob", None])
+    assert not Target([1, 1], ["ann", None]).is_performed_by(["ann", "bob", None])
 
 
 def test_of_many_examples_some_take_part() -> None:
