@@ -36,7 +36,7 @@ def connect(threads: int | None = None, memory_mb: int | None = None) -> Connect
         Largest memory in MB; by default DuckDB decides.
     """
     connection = duckdb.connect(":memory:")
-    # a GLOBAL setting holds for the cursors of this connection, too
+    # a GLOBAL setting also applies to the cursors of this connection
     connection.execute("SET GLOBAL python_enable_replacements = false")
     _hide_progress(connection)
     connection.execute("SET autoinstall_known_extensions = false")
@@ -56,7 +56,7 @@ def _hide_progress(connection: Connection) -> None:
 
 
 def allow_only(connection: Connection, places: Iterable[Path]) -> None:
-    """Restrict a connection to the files in some folders; databases that are attached already stay open."""
+    """Restrict a connection to the files in the given folders; databases that are already attached stay open."""
     # DuckDB compares the glob-escaped path of a scan as text, so allow both forms
     paths = [str(place.absolute()) for place in places]
     folders = ", ".join(quote(path) for path in dict.fromkeys([*paths, *map(glob.escape, paths)]))
@@ -65,7 +65,7 @@ def allow_only(connection: Connection, places: Iterable[Path]) -> None:
 
 
 def rows(connection: Connection, text: str, parameters: Parameters = None) -> pa.Table:
-    """Run a query of the program's own and return its rows; `storage.sql.queries` runs the queries of users."""
+    """Run an internal query and return its rows; `storage.sql.queries` runs the queries of users."""
     return run_bounded(connection, lambda: connection.sql(text, params=parameters).to_arrow_table())
 
 
@@ -100,7 +100,7 @@ def sql_type(kind: pa.DataType) -> str:
 
 
 def null_columns(fields: Iterable[pa.Field]) -> list[str]:
-    """Return columns of a SELECT that are null, of the types of fields."""
+    """Return SELECT expressions that give NULL columns with the names and types of the fields."""
     return [f"NULL::{sql_type(field.type)} AS {identifier(field.name)}" for field in fields]
 
 
@@ -113,7 +113,7 @@ class ResultScan:
     files : tuple of Path
         The parts.
     width : int
-        The number of their columns, which are the first ones of the schema; the others are null.
+        The number of columns that the parts have: the first ones of the schema. The other columns are null.
     origin : dict of str to str or None
         Column → the one value that it has in all rows of these parts; it replaces a stored column of the same name.
     """
@@ -129,7 +129,7 @@ def result_rows(schema: pa.Schema, origin: Sequence[str], scans: Sequence[Result
     Parameters
     ----------
     schema : pyarrow.Schema
-        Columns of the parts; without any part the SELECT is an empty relation of these and the columns of `origin`.
+        Columns of the parts. If there is no part, the SELECT gives these columns and those of `origin`, and no rows.
     origin : sequence of str
         Names of the text columns that follow those of the schema.
     scans : sequence of ResultScan
@@ -159,7 +159,7 @@ def parquet_rows(schema: pa.Schema, files: Sequence[tuple[Path, Sequence[int]]])
     Parameters
     ----------
     schema : pyarrow.Schema
-        Columns of the parts; without any part the SELECT is an empty relation of this schema.
+        Columns of the parts. If there is no part, the SELECT gives these columns and no rows.
     files : sequence of (Path, sequence of int)
         Each part with the ids of the takes whose rows in it are dropped.
     """
@@ -169,7 +169,7 @@ def parquet_rows(schema: pa.Schema, files: Sequence[tuple[Path, Sequence[int]]])
     branches = [f"SELECT * FROM {_read_parquet(whole)}"] if whole else []
     tombstones = [(file, take) for file, dropped in files for take in dropped]
     if tombstones:
-        # one scan and one join for any number of parts; the pairs are one literal, which is parsed faster than a list
+        # one scan and one join for any number of parts; one literal with all pairs is parsed faster than a list of them
         pairs = ", ".join(f"{{part: {file.name}, take_id: {take}}}" for file, take in tombstones)
         gone = f"SELECT unnest({quote(f'[{pairs}]')}::STRUCT(part VARCHAR, take_id BIGINT)[], recursive := true)"
         branches.append(

@@ -15,7 +15,7 @@ import xxhash
 
 from kinedex.ops.errors import StoreError
 
-# Windows has no quota error of its own
+# Windows has no separate error for an exceeded quota
 _NO_SPACE = {errno.ENOSPC, getattr(errno, "EDQUOT", errno.ENOSPC)}
 
 TEMPORARY = ".tmp-"
@@ -58,7 +58,7 @@ def write_errors(path: Path) -> Iterator[None]:
 
 @contextmanager
 def whole_file(path: Path) -> Iterator[Path]:
-    """Write a file whole or not at all.
+    """Write a file atomically: either completely or not at all.
 
     Parameters
     ----------
@@ -103,7 +103,7 @@ def replace_file(path: Path, write: Callable[[Path], object]) -> None:
 
 
 def write_flushed(path: Path, content: str | bytes) -> None:
-    """Write a new file, text as UTF-8, and flush it to disk."""
+    """Write a new file and flush it to disk; text is encoded as UTF-8."""
     with open(path, "wb") as file:
         file.write(content.encode() if isinstance(content, str) else content)
         file.flush()

@@ -29,28 +29,28 @@ class TimeLimitError(KinedexError):
 def run_bounded(connection: duckdb.DuckDBPyConnection, work: Callable[[], T], timeout: float | None = None) -> T:
     """Run statements on a connection so that Ctrl-C, a time limit or a cancellation ends them.
 
-    DuckDB by itself would notice Ctrl-C only at the end. It stops a statement between two batches of rows, but not
-    within one call of a function over long texts or lists. After `GRACE` seconds, or at a second Ctrl-C, such a
-    statement is abandoned: it continues in a thread of its own until its function returns, and `is_abandoned` is True
-    for its connection, which must be neither used again nor closed.
+    Without this function, DuckDB would notice Ctrl-C only at the end of a statement. When interrupted, DuckDB stops
+    between two batches of rows, but not within one call of a function over long texts or lists. A statement that has
+    not stopped after `GRACE` seconds, or at a second Ctrl-C, is abandoned: it continues in a separate thread until the
+    function returns, and `is_abandoned` is True for its connection, which must be neither used again nor closed.
 
     Parameters
     ----------
     connection : duckdb.DuckDBPyConnection
         The connection on which the statements run.
     work : callable
-        Function that runs them.
+        Function that runs the statements.
     timeout : float, optional
         Time limit in seconds; None for no limit.
 
     Raises
     ------
     TimeLimitError
-        They did not end in time.
+        The statements did not end in time.
     WithdrawnError
         The caller has cancelled the work.
     KeyboardInterrupt
-        Ctrl-C ended them.
+        Ctrl-C ended the statements.
     """
     if timeout is not None and not timeout > 0:
         raise ParameterError("timeout", "a number of seconds above 0", timeout)
@@ -80,7 +80,7 @@ def run_bounded(connection: duckdb.DuckDBPyConnection, work: Callable[[], T], ti
 
 
 class _Run(Generic[T]):
-    """Work in a thread of its own; the process can exit while it runs."""
+    """A function call in a separate daemon thread, which does not keep the process from exiting."""
 
     def __init__(self, work: Callable[[], T]) -> None:
         self.done = threading.Event()
@@ -122,7 +122,7 @@ class _Run(Generic[T]):
 
 
 def is_abandoned(connection: duckdb.DuckDBPyConnection) -> bool:
-    """Return whether a connection was abandoned to a statement that did not stop."""
+    """Return whether a connection was abandoned because its statement did not stop."""
     return connection in _abandoned
 
 
@@ -132,5 +132,5 @@ def abandoned_statements() -> int:
 
 
 def is_running() -> bool:
-    """Return whether the thread of any statement is alive, even if it only frees memory."""
+    """Return whether the thread of any statement is alive, even if the thread only frees memory."""
     return any(thread.name == _THREAD for thread in threading.enumerate())

@@ -1,9 +1,9 @@
-"""Lease versions to readers: a reader locks the manifest of its version, and files that it names are not removed.
+"""Lease versions to readers: files that a manifest names are not removed while a reader has the manifest locked.
 
-A reader opens the file read-only and holds a shared lock on it, so that nothing is written, and the lease ends with the
-process, however it ends. A process that was forked from a reader shares its lease until both have closed the store or
-ended. Windows needs no lock: it does not remove open files. On a file system without locks, or with locks that other
-machines do not see, a lease gives no protection.
+A reader opens the manifest of its version read-only and holds a shared lock on it. A lease therefore writes nothing,
+and ends with the process, however the process ends. A process that was forked from a reader shares the reader's lease
+until both have closed the store or ended. Windows needs no lock, because it does not remove open files. On a file
+system without locks, or with locks that other machines do not see, a lease gives no protection.
 """
 
 from __future__ import annotations
@@ -39,7 +39,7 @@ class Lease:
     """
 
     def __init__(self, descriptor: int) -> None:
-        # the lock ends with the last copy of the descriptor: unlocking would end the lease of a forked process too
+        # the lock ends with the last copy of the descriptor; unlocking would also end the lease of a forked process
         self.release = weakref.finalize(self, os.close, descriptor)
 
 
@@ -162,7 +162,7 @@ def open_versions(store: Path, among: list[int] | None = None) -> list[OpenVersi
 
 
 def _processes(path: Path) -> int | None:
-    """Count the processes that hold a shared lock on a file; None if there is none, or the system is not Linux."""
+    """Count the processes that hold a shared lock on a file; return None if there is none, or outside Linux."""
     try:
         number = str(path.stat().st_ino)
         with open("/proc/locks", encoding="ascii") as locks:

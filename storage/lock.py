@@ -23,10 +23,10 @@ from kinedex.storage.durable_files import write_errors
 _POLL_SECONDS = 0.1
 
 _NAMED_SECONDS = 0.5
-"""Seconds within which the holder of a lock writes its name after getting it, unless the disk is full."""
+"""The seconds within which a process writes its name after getting a lock, unless the disk is full."""
 
 REPORT_SECONDS = 30.0
-"""Seconds between reports of a waiting process that name the holder."""
+"""The seconds between two reports in which a waiting process names the holder of the lock."""
 
 
 @dataclass(frozen=True)
@@ -111,7 +111,7 @@ class Lock:
             raise StoreError(f"{self.path}: this file system does not lock files ({fault.strerror})") from None
 
     def _write_holder(self) -> None:
-        """Write the holder into the lock file; on a full disk leave it out, so that `kinedex gc` can free space."""
+        """Write the holder into the lock file; on a full disk write nothing, so that `kinedex gc` can free space."""
         holder = {
             "pid": os.getpid(),
             "host": socket.gethostname(),
@@ -130,9 +130,9 @@ class Lock:
         return name or "another process"
 
     def _read_holder(self) -> str | None:
-        """Return the process that the file names; None if it names none, or one that has ended."""
+        """Return the process that the lock file names; None if the file names no process, or one that has ended."""
         try:
-            # Windows does not let others read the locked byte, which is the first one: the brace of the JSON object
+            # Windows does not let others read the locked byte: the first one, which is the brace of the JSON object
             self._file.seek(1)
             found = json.loads(b"{" + (self._file.read(4096) or b""))
             if found["host"] == socket.gethostname() and not _runs(int(found["pid"])):
@@ -175,7 +175,7 @@ _held: weakref.WeakSet[Lock] = weakref.WeakSet()
 
 
 def _close_in_child() -> None:
-    """Close a forked child's copies, which would keep the lock of a killed parent; the parent's lock remains."""
+    """Close a forked child's copies of locked files, which would keep the locks of a killed parent."""
     for lock in list(_held):
         lock._file.close()
 

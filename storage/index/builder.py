@@ -1,4 +1,4 @@
-"""Build the index: copy the generation before, replace the shards that changed, and publish the copy by a rename."""
+"""Build the index: copy the previous generation, replace the shards that changed, and publish the copy by a rename."""
 
 from __future__ import annotations
 
@@ -50,7 +50,7 @@ from kinedex.storage.snapshot.manifest_files import content_digest_of
 from kinedex.storage.snapshot.snapshot import Snapshot
 
 MAX_WASTE = 2.0
-"""The ratio to the size of a new index file above which the file is rewritten."""
+"""The largest ratio of an index file's size to that of a complete rewrite; a larger file is rewritten."""
 
 SPARE_BYTES = 4_000_000
 """The number of bytes that a small file may waste without being rewritten."""
@@ -67,7 +67,7 @@ class Counter(Protocol):
 
 
 Progress = Callable[[str, int], AbstractContextManager[Counter]]
-"""Takes a description and a number of steps, and returns a context manager that shows the progress."""
+"""A function that takes a description and a number of steps, and returns a context manager that shows the progress."""
 
 Item = TypeVar("Item")
 Result = TypeVar("Result")
@@ -85,7 +85,7 @@ def build_index(
 
     The newest `KEPT` generations are kept, and those of versions that readers have open.
 
-    Shards of the generation before with unchanged takes are copied, not made again.
+    Shards of the previous generation whose takes are unchanged are copied, not made again.
 
     Parameters
     ----------
@@ -111,14 +111,14 @@ def build_index(
     ------
     StoreError
         Another process builds an index of this store, a part cannot be read, or there is no space for the index; the
-        generation before is kept.
+        previous generation is kept.
     """
     folder = store.path / "index"
     with write_errors(folder):
         folder.mkdir(exist_ok=True)
     with Lock(folder / "lock", "this build", wait):
         standing = current_generation(store.path, store.manifest)
-        if standing is not None and _stands(store, standing):
+        if standing is not None and _is_current(store, standing):
             return standing
         for leftover in folder.glob(f"{BUILDING}*"):
             shutil.rmtree(leftover, ignore_errors=True)
@@ -139,7 +139,7 @@ def build_index(
 def _remove_old(store: Snapshot, built: Path) -> None:
     """Remove the generations that the one just built replaces, and old ones whose version no reader has open."""
     for number, old in enumerate(generations(store.path)):
-        # of the same version: damaged, or made with another index version or other macros
+        # an index of the same version of the store is damaged, or made with another index version or other macros
         if old != built and is_of(old, store.manifest.version):
             _remove_generation(store, old, replaced=True)
         elif number >= KEPT and not _is_read(store, old):
@@ -168,7 +168,8 @@ def _remove_generation(store: Snapshot, generation: Path, *, replaced: bool = Fa
     shutil.rmtree(removed, ignore_errors=True)
 
 
-def _stands(store: Snapshot, generation: Path) -> bool:
+def _is_current(store: Snapshot, generation: Path) -> bool:
+    """Return whether a generation is undamaged and has the current views and macros."""
     record = read_generation(generation)
     return (
         record is not None
@@ -190,7 +191,7 @@ class _Start:
     lost : tuple of Shard
         Shards whose bit slices are damaged.
     surface : str
-        `surface` of the generation.
+        `Generation.surface` of the copied generation.
     whole_bytes_per_frame : float, optional
         Bytes per frame when its file was last written completely.
     """
@@ -299,13 +300,13 @@ def _copied(store: Snapshot, file: Path) -> _Start:
                     record.surface,
                     record.whole_bytes_per_frame,
                 )
-            # damaged: its copy would get a checksum that matches
+            # the file is damaged; its copy would get a new checksum, which would match
             file.unlink(missing_ok=True)
     return _Start()
 
 
 def _can_start(store: Snapshot, record: Generation) -> bool:
-    """Return whether a generation has shards of the same words, in a file that does not waste much space."""
+    """Return whether a generation indexes words of the store's kind, in a file that does not waste much space."""
     made_with = (record.index_version, record.feature_set_digest, record.rate_hz)
     return (
         bool(record.shards)
@@ -328,7 +329,7 @@ def _copy(source: Path, target: Path) -> str:
 
 
 def _delete(connection: duckdb_sql.Connection, store: Snapshot, work: ShardPlan, start: _Start) -> None:
-    """Delete the rows that are not in the next generation."""
+    """Delete the rows that the next generation does not contain."""
     before = {shard.number: shard.take_ids for shard in (*start.shards, *start.lost)}
     removed = (*work.removed, *(shard.number for shard in start.lost))
     after = {shard.number: shard.take_ids for shard in work.kept}
@@ -360,7 +361,7 @@ def _insert(
     threads: int | None,
     bar: Counter | None,
 ) -> tuple[Shard, ...]:
-    """Make the new shards, several at a time, and store them in order; write bit slices to files beside the index."""
+    """Make new shards in threads and store their rows in order; write their bit slices to files beside the index."""
     features = len(store.feature_set.features)
 
     def make(item: tuple[int, tuple[Part, ...]]) -> tuple[Shard, index_tables.ShardRows]:

@@ -22,8 +22,8 @@ INDEX_VERSION = 6
 """Version of the index's tables and other files; an index of another version is rebuilt."""
 
 KEPT = 8
-"""The number of generations that a build keeps, including its own, besides those of versions that readers have open.
-Each is a copy of the file, so their number is limited; `kinedex gc` removes those that no remaining version needs.
+"""The number of newest generations that a build keeps; those of versions that readers have open are kept as well. Each
+is a copy of the whole file, so their number is limited. `kinedex gc` removes those that no remaining version needs.
 """
 
 BUILDING, GENERATION = ".building-", "gen-"
@@ -62,9 +62,9 @@ class Shard:
     parts : tuple of ShardPart
         The parts from which the shard was made, with the takes that it still has.
     frames : int
-        Frames of its takes.
+        Number of frames of its takes.
     built_frames : int
-        Frames when the shard was made; rows of takes removed since have been deleted.
+        Number of frames when the shard was made; the rows of takes that were removed later have been deleted.
     slices_bytes : int
         Size of the file of its bit slices (`storage.index.slice_files`), which is never rewritten.
     slices_xxh3 : str
@@ -107,7 +107,7 @@ class Generation:
     rows : dict of str to int
         Number of rows of each view.
     valid_frames : int
-        Frames of all takes that have a word.
+        Number of frames that have a word, over all takes.
     bytes : int
         Size of the DuckDB file.
     xxh3 : str
@@ -117,7 +117,7 @@ class Generation:
     built : str
         Time of the build, ISO 8601 in UTC.
     built_frames : int
-        Frames that were newly indexed for this generation.
+        Number of frames that were newly indexed for this generation.
     build_seconds : float
         Duration of the build.
     takes : str
@@ -170,11 +170,10 @@ def _shard(values: dict[str, object]) -> Shard:
 
 
 def readable_version(store: Path, newest: Manifest) -> tuple[int, Path | None]:
-    """Return the newest version of a store that has an index, and that index; else the newest version and None.
+    """Return the newest version that has an index, and its index; or the newest version and None if none has one.
 
-    If a newer index is damaged, or of another version of kinedex, the newest version is returned, without an index. Few
-    manifests are read, however many versions there are, because the versions with the takes of an index are
-    consecutive.
+    If a newer index is damaged, or was made by another version of kinedex, the newest version and None are returned.
+    Versions with the takes of one index are consecutive, so that few manifests are read, however many there are.
 
     Parameters
     ----------
@@ -194,7 +193,7 @@ def readable_version(store: Path, newest: Manifest) -> tuple[int, Path | None]:
             if version is not None:
                 return version, folder
         elif folder.is_dir():
-            # it may belong to the newest version: report damage, do not answer with an older version
+            # this index may belong to the newest version: report the damage instead of returning an older version
             break
     return newest.version, None
 
@@ -202,7 +201,7 @@ def readable_version(store: Path, newest: Manifest) -> tuple[int, Path | None]:
 def _last_version(store: Path, record: Generation, newest: Manifest, known: dict[int, str]) -> int | None:
     """Return the last version whose takes are those of an index; None if there is none.
 
-    `known` caches the digests of versions; those read here are added.
+    `known` caches the digests of versions; digests read here are added to it.
     """
     later = [version for version in versions(store) if version >= record.manifest_version]
 

@@ -1,11 +1,12 @@
 """Make the content of an index file: the tables with the rows of shards, and the views and macros over them.
 
 `stored_word_runs_<set>`, `stored_feature_runs`, `stored_valid_runs` and `stored_vocabulary` hold the rows of all
-shards, one after the other, each sorted. The take of a run determines its shard, since every take is in one shard; the
-vocabulary has a column for the shard. A run is stored with its length, which takes a third of the space of its end, and
-with its take's id in 32 bits. A take with unknown features of a set has no words of the set: it is in neither its lists
-nor its vocabulary, and its valid frames are only in `stored_valid_runs`. The views `word_runs`, `feature_runs` and
-`vocabulary` show the tables as `catalog.sql.views` describes.
+shards, one after the other; the rows of each shard are sorted. Every take is in one shard, so that the take of a run
+determines the run's shard; the vocabulary has a column for the shard. A run is stored with its length, which takes a
+third of the space that its end would take, and with the id of its take in 32 bits. If some features of a set are
+unknown for a take, the take has no words of this set: the inverted lists and the vocabulary of the set do not contain
+the take, and its valid frames are only in `stored_valid_runs`. The views `word_runs`, `feature_runs` and `vocabulary`
+show the tables as `catalog.sql.views` describes.
 """
 
 from __future__ import annotations
@@ -47,7 +48,7 @@ class ShardRows(NamedTuple):
     valid : WordRuns
         The runs of frames that have a word.
     frames : int
-        Frames of all takes.
+        Number of frames of all takes.
     """
 
     take_ids: I64
@@ -93,7 +94,7 @@ def _words_of_set(words: TakeWords, home: WordSet) -> U64:
 
 def create(connection: duckdb_sql.Connection, feature_set: FeatureSet) -> None:
     """Create the tables for the rows of shards."""
-    # DuckDB would choose the same after trying all compressions, which takes a third of the storing time
+    # by itself DuckDB would try all compressions and choose the same, which takes a third of the time for storing rows
     packed, repeated = "USING COMPRESSION bitpacking", "USING COMPRESSION rle"
     run = f"take_id INTEGER {packed}, start INTEGER {packed}, frames INTEGER {packed}"
     for name, home in feature_set.sets.items():
@@ -138,7 +139,7 @@ def delete(
     removed: Mapping[int, Iterable[int]],
     dropped: Mapping[int, tuple[Iterable[int], Iterable[int]]],
 ) -> None:
-    """Delete the rows of whole shards, and of the takes that other shards lose.
+    """Delete all rows of removed shards, and the rows of takes that other shards lose.
 
     Parameters
     ----------
@@ -178,9 +179,9 @@ def _takes(connection: duckdb_sql.Connection, name: str, take_ids: Iterable[int]
 
 
 def describe(connection: duckdb_sql.Connection, store: Snapshot, *, anew: bool) -> None:
-    """Create the tables takes and vocabulary, and if `anew` also features, help, views and macros.
+    """Create the tables takes and vocabulary, and if `anew` also the tables features and help, the views and macros.
 
-    The latter must not exist yet; `clear` removes them.
+    None of these may exist yet; `clear` removes them.
     """
     if anew:
         _create_as(connection, "features", features_table(store.feature_set))

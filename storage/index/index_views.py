@@ -12,7 +12,7 @@ from kinedex.storage import duckdb_sql
 
 
 def views_digest(feature_set: FeatureSet, rate_hz: float) -> str:
-    """Return a hash of the views, macros and help of an index; when it changes, the rows stay valid."""
+    """Return a hash of the views, macros and help of an index, on which its stored rows do not depend."""
     text = "\n".join([*index_statements(feature_set, rate_hz), *map(repr, help_rows(index_only=True))])
     return hashlib.sha256(text.encode()).hexdigest()
 

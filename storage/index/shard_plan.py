@@ -1,10 +1,10 @@
-"""Plan an index build: the shards that are kept, that lose takes, and that are rebuilt.
+"""Plan an index build: which shards are kept, which lose takes, and which are rebuilt.
 
 Frames parts are combined into shards of `SHARD_FRAMES` frames. Takes that are added later form a new shard, and small
 shards are merged by tiers (size classes), like small parts (`storage.store.compaction`): a tier with `FANOUT` shards or
 more becomes one shard of a higher tier, so that each frame is indexed a few times at most, and few shards are small.
-Dropped takes are deleted from their shard until half of it is gone; then it is rebuilt. So the cost of a build is
-proportional to the change, not to the size of the archive.
+Dropped takes are deleted from their shard; a shard that has lost more than half of its frames is rebuilt. The cost of a
+build is thus proportional to the change, not to the size of the archive.
 """
 
 from __future__ import annotations
@@ -18,14 +18,14 @@ from kinedex.storage.snapshot.manifest import Part, ranges
 
 SHARD_FRAMES = 1_048_576
 """The number of frames of a full shard, 9.7 hours at 30 Hz. Making one takes some 100 MB of memory.
-The runs of a word are spread over all shards, of which 400 hours have some forty.
+The runs of a word are spread over all shards; an archive of 400 hours has some forty.
 """
 
 FANOUT = 8
 """The number of shards of one tier that are merged, and the ratio of the tiers' sizes."""
 
 SMALLEST = 4096
-"""The number of frames below which all shards are of the lowest tier."""
+"""The number of frames below which a shard is of the lowest tier."""
 
 
 @dataclass(frozen=True)
@@ -65,7 +65,7 @@ def plan_shards(parts: Iterable[Part], before: Sequence[Shard], shard_frames: in
     parts : iterable of Part
         Frames parts of the version to index.
     before : sequence of Shard
-        Shards of the generation before; empty for a complete build.
+        Shards of the previous generation; empty for a complete build.
     shard_frames : int, optional
         Number of frames at which a shard is full and no longer merged.
     """
@@ -73,12 +73,12 @@ def plan_shards(parts: Iterable[Part], before: Sequence[Shard], shard_frames: in
     groups: list[_Group] = []
     dropped: dict[int, tuple[int, ...]] = {}
     for shard in before:
-        stays = _stays(shard, loose)
+        stays = _remaining_parts(shard, loose)
         if 2 * sum(part.live_rows for part in stays) < shard.built_frames or not stays:
             continue
         for part in stays:
             del loose[part.sha256]
-        if gone := _gone(shard, stays):
+        if gone := _lost_takes(shard, stays):
             dropped[shard.number] = gone
         groups.append(_Group(stays, sum(part.live_rows for part in stays), shard))
     groups = _merged(groups + _packed(loose.values(), shard_frames), shard_frames)
@@ -106,8 +106,8 @@ def ids(part: ShardPart) -> Iterable[int]:
     return chain.from_iterable(range(first, stop) for first, stop in part.takes)
 
 
-def _stays(shard: Shard, live: dict[str, Part]) -> tuple[Part, ...]:
-    """Return the parts of a shard that still exist; a part with dropped takes that are live again counts as new."""
+def _remaining_parts(shard: Shard, live: dict[str, Part]) -> tuple[Part, ...]:
+    """Return the parts of a shard that still exist, except parts with live takes that the shard does not have."""
     found = []
     for member in shard.parts:
         part = live.get(member.sha256)
@@ -116,7 +116,7 @@ def _stays(shard: Shard, live: dict[str, Part]) -> tuple[Part, ...]:
     return tuple(found)
 
 
-def _gone(shard: Shard, stays: tuple[Part, ...]) -> tuple[int, ...]:
+def _lost_takes(shard: Shard, stays: tuple[Part, ...]) -> tuple[int, ...]:
     left = {part.sha256: part for part in stays}
     gone: set[int] = set()
     for member in shard.parts:

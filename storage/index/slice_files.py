@@ -1,7 +1,7 @@
-"""Write and map slice files: the bit slices of one shard each, written once and mapped by every search process.
+"""Write and map slice files; each holds the bit slices of one shard, is written once, and mapped by search processes.
 
-All processes of a machine share the mapped pages. A mapped file stays readable after it has been removed (Windows
-refuses to remove it).
+All processes of a machine share the mapped pages. A mapped file stays readable after it has been removed (except on
+Windows, which refuses to remove it).
 
 The file is little-endian. Its header has 64 bytes: the eight characters of `MAGIC`, then as uint64 `LAYOUT` and the
 numbers of features f, takes T and blocks B, then zeros. After it come take_ids, int64 (T,), ascending, and the arrays

@@ -23,9 +23,10 @@ def index_problems(
 ) -> Iterator[tuple[str, str]]:
     """Yield file and problem for every fault in the content of an index whose files have the recorded checksums.
 
-    In a valid index every live take is in one shard; the tables have the recorded number of rows; in every shard the
-    lists of a feature set have the runs and the frames that its vocabulary counts; the runs of every set's words cover
-    all frames with a word, in takes for which the set is known; and the bit slices agree with the takes' words.
+    In a valid index, every live take is in exactly one shard, and the tables have the recorded numbers of rows. In
+    every shard, the inverted lists of a feature set have as many runs and frames as its vocabulary counts. In takes for
+    which all features of a set are known, the runs of the set's words cover all frames with a word. The bit slices
+    agree with the words of the takes.
 
     Parameters
     ----------
@@ -70,7 +71,7 @@ def _slices(store: Snapshot, shard: Shard, found: ShardSlices, against_words: bo
 
 
 def _tables(store: Snapshot, generation: Path, record: Generation) -> Iterator[str]:
-    # compared by takes, not parts: compaction moves takes to other parts, and the index stays valid
+    # compare takes, not parts: compaction moves takes to other parts, and the index stays valid
     held = sorted(take for shard in record.shards for take in shard.take_ids)
     if held != list(store.manifest.live_takes):
         yield "its shards do not hold every live take once"

@@ -1,4 +1,4 @@
-"""Handle damaged manifests: quarantine them; if the newest is damaged, the version before becomes current."""
+"""Move damaged manifests to quarantine; if the newest is damaged, the version before it becomes the current one."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ class BadManifest:
     lost : tuple of str
         Paths of the parts that no other version names, which are lost with the manifest.
     changes : str
-        The changes of the version and the command that made it, as far as they can be read.
+        The changes of the version and the command that made it, as far as the manifest can be read.
     """
 
     version: int
@@ -79,7 +79,7 @@ def bad_manifests(store: Path) -> list[BadManifest]:
 def _changes(path: Path) -> str:
     """Return the changes that a damaged manifest records; empty if they cannot be read."""
     try:
-        # each line of a manifest is JSON, so that most lines survive damage
+        # each line of a manifest is separate JSON, so that most lines survive damage
         lines = path.read_text(encoding="utf-8", errors="replace").splitlines()
     except OSError:
         return ""
@@ -100,7 +100,7 @@ def newest_sound(store: Path, bad: list[BadManifest]) -> Manifest:
 
 
 def set_aside(quarantine: Quarantine, bad: list[BadManifest]) -> None:
-    """Move damaged manifests into the quarantine, with the parts that only they name; newer versions are moved first.
+    """Move damaged manifests into the quarantine, with the parts that only these manifests name; newest first.
 
     Only the holder of the store's lock may do this.
     """

@@ -1,8 +1,8 @@
-"""Restore what damaged files held: rows of frames, takes and labels, and a small file with one flipped bit.
+"""Restore the content of damaged files: rows of frames, takes and labels, and small files with one flipped bit.
 
-A row group is undamaged if the checksums of its pages match, and if writing its rows again gives the same bytes: this
-proves the page headers, which have no checksum. Parts from another version of the Parquet library do not pass, nor do
-those without page checksums.
+A row group is undamaged if the checksums of its pages match, and if writing its rows again gives the same bytes. The
+second test covers the page headers, which have no checksum. Parts that were written by another version of the Parquet
+library, or without page checksums, do not pass.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ from kinedex.storage.snapshot.schemas import labels_schema, schema_problem, with
 from kinedex.storage.snapshot.snapshot import Snapshot
 
 LARGEST = 24_000
-"""The largest file in bytes that is tried: the time grows with the square of the size, to some seconds here."""
+"""The largest size in bytes of a file for `without_flip`, whose time, here some seconds, grows with its square."""
 
 
 def without_flip(content: bytes, sha256: str) -> bytes | None:
@@ -61,7 +61,7 @@ def without_flip(content: bytes, sha256: str) -> bytes | None:
 def sound_takes(
     file: Path, schema: pa.Schema, take_ids: Collection[int], frames: Mapping[int, int]
 ) -> dict[int, pa.Table]:
-    """Return the rows of takes of a damaged part of frames, as far as they are proven to be undamaged.
+    """Return those rows of a damaged part of frames that are proven to be undamaged, by take.
 
     Parameters
     ----------
@@ -146,7 +146,7 @@ class RestoredRows:
 def restored_rows(store: Snapshot, bad: Iterable[Part]) -> RestoredRows:
     """Find the rows of the live takes of damaged takes parts.
 
-    They are read from the index of exactly these takes, whose checksum must match, then from the parts of older
+    The rows are read from the index of the same takes if its checksum matches, and otherwise from the parts of older
     versions with the same takes.
 
     Parameters
@@ -205,7 +205,7 @@ def _without(store: Snapshot, part: Part, lost: set[int]) -> Part:
     with suppress(StoreError), read_errors(store.path / part.path):
         ids = pq.read_table(store.checked.part(part), columns=["take_id"]).column("take_id")
         rows = pc.sum(pc.is_in(ids, pa.array(gone, pa.int64()))).as_py()
-    # unknown for a damaged part, whose other takes are read again anyway
+    # the number of rows is unknown for a damaged part, whose other takes are read again anyway
     return replace(part, dropped=tuple(sorted({*part.dropped, *gone})), dropped_rows=part.dropped_rows + rows)
 
 
@@ -234,7 +234,7 @@ def _of_older_versions(store: Snapshot) -> Iterator[pa.Table]:
 
 @dataclass(frozen=True)
 class RestoredLabels:
-    """A manifest without damaged parts of labels, and what was restored.
+    """A manifest without damaged parts of labels, and the numbers of restored and lost rows.
 
     Attributes
     ----------
@@ -255,7 +255,7 @@ class RestoredLabels:
 
 
 def restored_labels(store: Snapshot, bad: list[LabelPart]) -> RestoredLabels:
-    """Collect the rows of damaged parts from undamaged parts of older versions and the journal, as a new part.
+    """Write a new part with the rows of damaged parts that older versions or the journal still have.
 
     Parameters
     ----------

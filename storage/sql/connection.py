@@ -1,4 +1,4 @@
-"""Open connections to a store: DuckDB with its index attached, and with the views and macros that statements need."""
+"""Open DuckDB connections to a store, with its index attached and the views and macros that statements need."""
 
 from __future__ import annotations
 
@@ -84,8 +84,8 @@ def connect(store: Snapshot, threads: int | None = None, memory_mb: int | None =
 class Connections:
     """The connections of one open store for `run_query`: one for each active thread, all to the same DuckDB database.
 
-    Their settings are locked. The index is attached once, and stays readable while they are open, even after it has
-    been removed.
+    The settings of the connections are locked. The index is attached once, and stays readable while they are open, even
+    after its file has been removed.
 
     Parameters
     ----------
@@ -137,7 +137,7 @@ class Connections:
     def give_back(self, lent: Definitions) -> bool:
         """Take a connection back; return False if none of the connections may be used again."""
         if is_abandoned(lent.connection):
-            # left open, since closing the first one closes all, which would wait for the statement
+            # left open: closing the first connection closes all of them, and would wait for the statement
             _left_open.append(self)
             return False
         with self._lock:
@@ -164,13 +164,13 @@ class Definitions:
     Parameters
     ----------
     connection : Connection
-        The connection.
+        The connection on which views and macros are created.
     store : Snapshot
-        The store.
+        The version of the store that they show.
     index : Generation or None
         The record of the attached index.
     complete : bool, optional
-        Create the macros over a missing index, too.
+        True to create the macros over the index even if it is missing.
     """
 
     def __init__(
@@ -180,7 +180,7 @@ class Definitions:
         self._store, self._index, self._complete = store, index, complete
         self._made: set[str] = set()
         if index is None or index.takes != store.manifest.takes_digest():
-            # rows or columns of takes have changed since the index was built, or were not in an older one
+            # the index has other rows or columns of takes: they have changed since the build, or its format is older
             with self._errors():
                 connection.register("takes", store.take_rows)
 
@@ -205,7 +205,7 @@ class Definitions:
         if "help" in wanted:
             _view(connection, "help", duckdb_sql.literal_rows(help_table()))
         if "frames" in wanted:
-            # DuckDB reads the columns of one part per view, but no rows
+            # to create a view, DuckDB reads the columns of one part, but no rows
             frames = [(part_file(store.path, part.path), part.dropped) for part in store.manifest.frames]
             _view(
                 connection, "frames", duckdb_sql.parquet_rows(frames_schema(store.feature_set, store.rate_hz), frames)
@@ -298,7 +298,7 @@ def run_query(
     text : str
         The query, as in `storage.sql.queries.bounded_query`.
     parameters : sequence or dict, optional
-        Values for its `?`, or for its `$name`.
+        Values for the placeholders `?` or `$name` of the query.
     files : bool, optional
         If True, it may read the files that the connection's settings allow.
     timeout, max_rows : optional
@@ -333,7 +333,7 @@ def _report_damaged_index(store: Snapshot, reason: str) -> None:
 
 
 def _explain_unknown(store: Snapshot, fault: UnknownName) -> KinedexError:
-    """Return the error for an unknown name: it needs the missing index, or it does not exist; list all names."""
+    """Return the error for a name that needs the missing index or does not exist; the message lists all names."""
     name = fault.name.lower()
     if name in INDEXED or any(macro.name == name and _reads_index(macro) for macro in MACROS):
         return missing_index(store.path, store.manifest)

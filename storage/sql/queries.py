@@ -1,4 +1,4 @@
-"""Run users' queries: read-only, stopped by Ctrl-C and a time limit, and with an optional limit of rows."""
+"""Run users' queries, which may only read; Ctrl-C and a time limit stop them, and their rows can be limited."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from kinedex.storage.interruption import run_bounded
 from kinedex.storage.sql.read_only import UnknownName, checked_statement
 
 COUNTED = 1_000_000
-"""The number of rows after which rows beyond a limit are no longer counted."""
+"""The number of rows up to which the rows of a query beyond its limit are counted."""
 
 _BATCH = 20_000
 _MISSING = re.compile(r"(?:Table|Function|Macro) with name \"?(\w+)\"? does not exist")
@@ -120,7 +120,7 @@ def bounded_query(
         One statement that only reads: SELECT, FROM, WITH, VALUES, TABLE, PIVOT, EXPLAIN, DESCRIBE, SHOW, SUMMARIZE,
         or one of a few PRAGMAs.
     parameters : sequence or dict, optional
-        Values for its `?`, or for its `$name`.
+        Values for the placeholders `?` or `$name` of the query.
     macros : iterable of str, optional
         Names of the macros that it may call.
     files : bool, optional
@@ -135,8 +135,8 @@ def bounded_query(
     TimeLimitError, KeyboardInterrupt
         As for `storage.interruption.run_bounded`.
     KinedexError
-        The query would change something, holds several statements, or DuckDB refuses it; an `UnknownName` for an
-        unknown table or function, an `Unreadable` for a file that cannot be read.
+        The query would change something, has several statements, or is refused by DuckDB. The error is an `UnknownName`
+        for an unknown table or function, and an `Unreadable` for a file that cannot be read.
     """
     if max_rows is not None and max_rows < 0:
         raise ParameterError("max_rows", "at least 0", max_rows)
@@ -157,10 +157,10 @@ def _tokens(text: str) -> list[tuple[int, str]]:
 
 
 def split_statements(text: str) -> tuple[list[str], str]:
-    """Split typed text into complete statements, each ended by a semicolon, and the rest.
+    """Split typed text into complete statements, each ended by a semicolon, and the text after the last one.
 
-    A semicolon in a string, a quoted name, or a comment does not end a statement. A rest of only complete comments
-    counts as empty.
+    A semicolon in a string, a quoted name, or a comment does not end a statement. If the text after the last statement
+    consists of complete comments only, an empty text is returned for it.
     """
     raw = text.encode()
     whole, begin = [], 0

@@ -1,14 +1,14 @@
 """Check that a SQL statement only reads: its parse tree may contain only known kinds of nodes and known functions.
 
-The list is closed on purpose: a function that a later DuckDB adds is refused until it has been reviewed. None of those
-listed reads or writes a file, reads the environment, changes the connection, or runs SQL from a text. `FILE_FUNCTIONS`
-are the exception.
+Only listed functions are allowed, so that a function that a later DuckDB adds is refused until it has been reviewed. No
+listed function reads or writes a file, reads the environment, changes the connection, or runs SQL from a text, except
+those in `FILE_FUNCTIONS`, which read files.
 
 DuckDB serialises the tree of a query as JSON. The whole tree is traversed: every node must be of a kind that reads, and
 every function must be in the lists below. The text itself is not searched for keywords, because DuckDB's grammar
 has more ways to write a statement than a list of keywords can cover. Statements without such a tree (EXPLAIN, PRAGMA,
-and a PIVOT that first looks up its columns) are allowed in a restricted form, from whose parts the statement to run is
-composed.
+and a PIVOT that first looks up its columns) are allowed in a restricted form: they are parsed here, and the statement
+to run is composed again from the parts.
 """
 
 from __future__ import annotations
@@ -117,7 +117,7 @@ FILE_FUNCTIONS = frozenset(
     read_ndjson_objects read_parquet read_text sniff_csv
     """.split()
 )
-"""Functions that read files; allowed if the user has opened folders."""
+"""Functions that read files, which are allowed if the user has opened folders."""
 
 
 _NODES = frozenset(
@@ -164,7 +164,7 @@ _PIVOT = (
 
 
 def _match(pattern: str, text: str) -> re.Match[str] | None:
-    """Match a pattern with a whole statement; it is compiled on first use, since most statements need none."""
+    """Match a whole statement with a pattern, which is compiled on first use, since most statements need no pattern."""
     return re.fullmatch(pattern, text, re.IGNORECASE | re.DOTALL | re.ASCII)
 
 

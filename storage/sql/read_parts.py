@@ -1,6 +1,7 @@
-"""Check the parts that a query reads before it runs: those behind the views and macros in its parse tree.
+"""Check the parts that a query will read: those behind the views and macros in its parse tree.
 
-DuckDB does not verify the checksums of Parquet files. The parts of other views are neither read nor checked.
+The check is needed because DuckDB does not verify the checksums of Parquet files. Parts that the query does not read
+are not checked.
 """
 
 from __future__ import annotations
@@ -26,7 +27,7 @@ _LISTS = re.compile(r"\b(SHOW|DESCRIBE|SUMMARIZE|PRAGMA)\b", re.IGNORECASE)
 """Keywords of statements that may list the views; matching one inside a literal only costs time."""
 
 _read_by: dict[str, frozenset[str]] = {}
-"""A dict from view or macro to the names in its body, for those needed so far."""
+"""A dict from the views and macros needed so far to the names in their bodies."""
 
 
 def check_parts(store: Snapshot, connection: duckdb_sql.Connection, text: str) -> frozenset[str]:
@@ -68,7 +69,7 @@ def check_parts(store: Snapshot, connection: duckdb_sql.Connection, text: str) -
 
 
 def parts_of(store: Snapshot, view: str) -> tuple[Part | ResultPart, ...]:
-    """Return the parts that a view reads directly; none for views of the index and for derived views."""
+    """Return the parts that a view reads directly; empty for views of the index and for views over other views."""
     manifest = store.manifest
     if view in RESULT_KINDS or view in ALL_VIEWS:
         return result_parts(store, view)
@@ -98,7 +99,7 @@ def _reads_catalogue(names: Names) -> bool:
 
 
 def _described_by(parts: Iterable[Part | ResultPart]) -> Iterator[Part | ResultPart]:
-    """Yield the parts from which DuckDB takes the columns of a view: the first of each of its scans."""
+    """Yield the parts from which DuckDB takes the columns of a view: the first part of each scan."""
     scans = {
         (bool(part.dropped_rows), getattr(part, "columns", 0), getattr(part, "stage", "")): part
         for part in reversed(list(parts))

@@ -1,4 +1,4 @@
-"""Make what is behind the views of results and labels: the parts that each shows, with the origin of their rows."""
+"""Build the SELECTs behind the views of results, with the origin of each row, and the table behind those of labels."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from kinedex.storage.snapshot.stored_labels import current_labels
 from kinedex.storage.snapshot.visible_results import origin_of, shown_parts
 
 ALL_VIEWS = {f"{ALL}{kind}": kind for kind in RESULT_KINDS}
-"""A dict from view that shows the rows of every pipeline to its kind of results."""
+"""A dict from the name of each view that shows the rows of every pipeline to its kind of results."""
 
 
 def result_parts(store: Snapshot, view: str) -> tuple[ResultPart, ...]:
