@@ -20,7 +20,7 @@ _THREADS = min(4, os.cpu_count() or 1)
 """The number of files checked at once: four cores read memory as fast as more."""
 
 _Identity = tuple[int, int, int, int]
-"""Device, inode, bytes and time of a file, which change with every new content, unless the disk is faulty."""
+"""Device, inode, size and time of a file; they change whenever its content does, unless the disk is faulty."""
 
 
 def _identity(status: os.stat_result) -> _Identity:
@@ -110,7 +110,7 @@ class CheckedFiles:
 
 
 _copies: dict[str, CheckedFiles] = {}
-"""The object that this process received last, so that the tasks of one run share its results."""
+"""A dict with the object that this process received last, so that the tasks of one run share its results."""
 
 
 def _received(origin: str, store: Path, known: dict[str, _Identity]) -> CheckedFiles:

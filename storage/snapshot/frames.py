@@ -1,4 +1,4 @@
-"""Read frames parts: the words of many takes at once, and the rows of takes and of intervals in them."""
+"""Read the Parquet parts with frames: the words of many takes at once, or the rows of takes and intervals."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ class Footer:
     takes : int64 array (R, 2)
         The lowest and the highest id of a take in each row group.
     frames : int64 array (R, 2)
-        The lowest and the highest number of a frame in each.
+        The lowest and the highest number of a frame in each row group.
     """
 
     metadata: pq.FileMetaData
@@ -57,8 +57,8 @@ class Footer:
         found = np.array(self.groups_between(take_id, take_id), np.int64)
         alone = (self.takes[found] == take_id).all(axis=1)
         first, last = np.where(alone, self.frames[found].T, [[0], [_MAX_INT64]])
-        # in a group of several takes, the range of frames may be another take's; neighbouring groups of this take alone
-        # bound it
+        # the frame range of a row group with several takes may be that of another take; the neighbouring row groups
+        # that have this take only give its bounds
         first[1:] = np.where(alone[1:] | ~alone[:-1], first[1:], last[:-1] + 1)
         last[:-1] = np.where(alone[:-1] | ~alone[1:], last[:-1], first[1:] - 1)
         chosen: list[int] = found[(first < stop) & (last >= start)].tolist()
@@ -114,10 +114,10 @@ def read_words(files: CheckedFiles, manifest: Manifest, take_ids: Sequence[int] 
         shown = ", ".join(map(str, unknown[:5]))
         raise StoreError(f"{files.store}: no live take has the id {shown}; `Store.takes()` lists those that are")
     asked = np.array(wanted, np.int64)
-    read = [_part_words(files, part, here) for part in manifest.frames if (here := _here(part, asked)) is not None]
+    read = [_part_words(files, part, here) for part in manifest.frames if (here := _live_in(part, asked)) is not None]
     ids = np.concatenate([np.empty(0, np.int64), *(takes for takes, _, _ in read)])
     lengths = np.concatenate([np.empty(0, np.int64), *(counts for _, counts, _ in read)])
-    # copy even a single part: Arrow's memory is read-only, for which kernels would be compiled again
+    # copy even a single part: Arrow's memory is read-only, and kernels would be compiled again for read-only arrays
     words = np.concatenate([np.empty(0, np.uint64), *(found for *_, found in read)])
     offsets = np.concatenate([[0], np.cumsum(lengths)])
     if np.any(np.diff(ids) < 0):
@@ -129,7 +129,7 @@ def read_words(files: CheckedFiles, manifest: Manifest, take_ids: Sequence[int] 
     return TakeWords(ids, offsets, words)
 
 
-def _here(part: Part, asked: I64) -> I64 | None:
+def _live_in(part: Part, asked: I64) -> I64 | None:
     """Return the requested takes that are live in a part; None if there are none."""
     live = np.array(part.live, np.int64)
     places = np.searchsorted(asked, live)
@@ -139,7 +139,7 @@ def _here(part: Part, asked: I64) -> I64 | None:
 
 
 def _part_words(files: CheckedFiles, part: Part, takes: I64) -> tuple[I64, I64, npt.NDArray[np.uint64]]:
-    """Return ids, numbers of frames, and words of the requested takes in one part, without copying a whole part."""
+    """Return ids, numbers of frames, and words of the requested takes in one part; a whole part is not copied."""
     path = files.part(part)
     with read_errors(path):
         footer = footer_of(path)
@@ -181,7 +181,7 @@ def read_frames(
 def read_intervals(
     files: CheckedFiles, manifest: Manifest, intervals: Sequence[tuple[int, int, int]], columns: Sequence[str]
 ) -> Iterator[tuple[int, pa.Table]]:
-    """Yield index and rows of each interval of a sequence; every row group is read once.
+    """Yield the index and the rows of each of the given intervals; every row group is read once.
 
     Parameters
     ----------
@@ -208,7 +208,7 @@ def read_intervals(
 def _of_part(
     path: Path, intervals: Sequence[tuple[int, int, int]], wanted: Sequence[int], columns: Sequence[str]
 ) -> Iterator[tuple[int, pa.Table]]:
-    """Yield index and rows of those intervals whose takes are in a part."""
+    """Yield the index and the rows of each interval whose take is in a part."""
     footer = footer_of(path)
     places_of: dict[int, list[int]] = {}
     for place in wanted:
@@ -229,7 +229,7 @@ def _of_part(
 
 
 def _placed(columns: Sequence[str] | None) -> list[str] | None:
-    """Return the given columns with those that identify take and frame; None for all columns."""
+    """Return the given columns and those that identify take and frame; None if all columns are requested."""
     return None if columns is None else list(dict.fromkeys(["take_id", "frame", *columns]))
 
 
@@ -248,7 +248,7 @@ def _rows(table: pa.Table, take_id: int, start: int, stop: int) -> tuple[int, in
 def read_takes(
     files: CheckedFiles, manifest: Manifest, take_ids: Iterable[int], columns: Sequence[str] | None = None
 ) -> Iterator[tuple[int, pa.Table]]:
-    """Yield ids and rows of live takes, in the order of the parts; every row group is read once.
+    """Yield the id and the rows of each live take, in the order of the parts; every row group is read once.
 
     The rows have take_id and the given columns, or all columns.
     """

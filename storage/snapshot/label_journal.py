@@ -1,9 +1,9 @@
-"""Keep the journal of labels: decisions that are on disk before a writer of the store publishes them.
+"""Keep the journal of labels: decisions of users that are on disk before a writer of the store publishes them.
 
-`labels/journal/` holds a few files of lines; a line has the rows of one decision and their checksum. A process locks a
-file while it appends a line; if another process has locked it, the next file is used, so that nobody waits. A commit
-publishes the rows of all lines and then empties the files, except one that has grown in the meantime. Files are never
-removed, so that no line can be written to a removed file.
+`labels/journal/` has a few text files; each line holds the rows of one decision and their checksum. A process locks a
+file while it appends a line; if another process has locked the file, the next file is used, so that nobody waits. A
+commit publishes the rows of all lines and then empties the files, except those that have grown in the meantime. Files
+are never removed, so that no line can be written to a removed file.
 """
 
 from __future__ import annotations
@@ -31,10 +31,10 @@ FOLDER = "labels/journal"
 _ENDING = ".jsonl"
 
 _HEADER = b"\n"
-"""The first byte of a file, which others cannot read on Windows while the file is locked."""
+"""The first byte of a file, which other processes cannot read on Windows while the file is locked."""
 
 _ROWS = 5_000
-"""The largest number of rows in a line, which bounds the memory for checking it."""
+"""The largest number of rows in a line, which bounds the memory for checking the line."""
 
 _PREFIX, _BETWEEN = b'{"xxh3":"', b'","rows":'
 _SUM = 32
@@ -44,7 +44,7 @@ _NOT_THERE_SECONDS = 0.005
 
 @dataclass(frozen=True)
 class Journal:
-    """A file of the journal, as read.
+    """The content of one file of the journal.
 
     Attributes
     ----------
@@ -55,8 +55,8 @@ class Journal:
     rows : list of dict
         The rows of its undamaged lines, each a mapping from column to value.
     damaged : tuple of int
-        Numbers of the lines whose content does not match its checksum. An incomplete last line is not counted: the
-        process ended while writing it, before it reported the decision as stored.
+        Numbers of the lines that do not match their checksum. An incomplete last line is not counted, because the
+        process that wrote it ended before it reported the decision as stored.
     """
 
     path: Path
@@ -132,7 +132,7 @@ def require_sound(journals: Iterable[Journal], store: Path) -> None:
 
 
 def empty(journal: Journal) -> None:
-    """Empty a file after its rows were published, unless it has grown since it was read, or is being written."""
+    """Empty a file whose rows were published, unless it has grown since it was read, or is being written."""
     if journal.size <= len(_HEADER):
         return
     with _locked(journal.path) as descriptor:

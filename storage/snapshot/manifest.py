@@ -20,7 +20,7 @@ from kinedex.catalog.features import FeatureSet
 from kinedex.storage.snapshot.schemas import TakeColumn, takes_schema
 
 MAX_TAKES = 100_000_000
-"""The largest number of takes in a part, so that a wrong manifest cannot fill the memory."""
+"""The largest number of takes in a part; the limit keeps a wrong manifest from filling the memory."""
 
 
 def ranges(take_ids: Iterable[int]) -> list[list[int]]:
@@ -51,7 +51,7 @@ class _Ranges:
 
     @staticmethod
     def __get_pydantic_core_schema__(source: Any, handler: Any) -> Any:
-        """Return the pydantic validator, which is only needed for a faulty manifest."""
+        """Return the pydantic schema, which is needed only to explain what is wrong with a faulty manifest."""
         from pydantic_core import core_schema
 
         return core_schema.no_info_before_validator_function(_from_ranges, handler(source))
@@ -328,8 +328,8 @@ class Manifest:
     next_take_id : int
         The id of the next new take.
     content : str
-        Hash of the takes of this version: every change of takes (not of layout or results) hashes the previous value
-        and the change.
+        Hash of the takes of this version. Every change of takes gives a new hash, of the previous value and the change;
+        changes of layout or results do not.
     frames : tuple of Part
         The parts with frames.
     takes : tuple of Part
@@ -347,7 +347,7 @@ class Manifest:
     columns : dict of str to TakeColumn
         The declared columns of takes, by name.
     labels : tuple of LabelPart
-        The parts with labels, whose rows are in every later version, too.
+        The parts with labels; every later version has their rows as well.
     sources : dict of str to Source
         Absolute path of a source folder → the settings with which it was last ingested.
     pipelines : dict of str to PipelineRecord
@@ -391,7 +391,7 @@ class Manifest:
         return (*self.frames, *self.takes, *self.labels, *chain.from_iterable(self.results.values()))
 
     def parts_by_stage(self, *kinds: str) -> Iterator[tuple[list[ResultPart], ...]]:
-        """Yield the parts of some kinds of results, stage by stage in the order of their names."""
+        """Yield, for each stage in the order of names, the parts of each of the given kinds of results."""
         of_kinds = [self.results.get(kind, ()) for kind in kinds]
         for stage in sorted({part.stage for parts in of_kinds for part in parts}):
             yield tuple([part for part in parts if part.stage == stage] for parts in of_kinds)

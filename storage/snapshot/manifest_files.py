@@ -86,7 +86,7 @@ def read_version(store: Path, version: int) -> Manifest:
 
 
 def _validated(path: Path, content: dict[str, Any]) -> Manifest:
-    """Validate a manifest, or raise an error that names the wrong value; import pydantic, which is slow, only here."""
+    """Validate a manifest with pydantic, whose errors name the wrong value; it is slow and imported only here."""
     from pydantic import TypeAdapter, ValidationError
 
     try:
@@ -107,7 +107,7 @@ def require_current_format(store: Path, manifest: Manifest) -> None:
 
 
 def named_files(store: Path, version: int) -> set[str]:
-    """Return the paths of the parts that a version names, faster than `read_version`, which raises the same errors."""
+    """Return the paths of the parts that a version names, with the errors of `read_version`, but faster."""
     path = manifest_path(store, version)
     content = _content(path)
     try:
@@ -118,7 +118,7 @@ def named_files(store: Path, version: int) -> set[str]:
 
 
 def content_digest_of(store: Path, version: int, newest: Manifest) -> str:
-    """Return `Manifest.content_digest` of a version, faster than by `read_version`; empty if it is damaged.
+    """Return `Manifest.content_digest` of a version, faster than `read_version`; empty if its manifest is damaged.
 
     `newest` is a later version of the store; all versions have the same feature set and rate.
     """
@@ -175,7 +175,7 @@ def json_checksum(content: dict[str, Any]) -> str:
 
 
 def publish(store: Path, manifest: Manifest) -> Path:
-    """Publish a version atomically: write it to a temporary file, flush it to disk, then give it its name.
+    """Publish a version atomically: write its manifest to a temporary file, flush it to disk, then rename it.
 
     Parameters
     ----------
@@ -213,7 +213,7 @@ def publish(store: Path, manifest: Manifest) -> Path:
 
 
 def _text(manifest: Manifest) -> str:
-    """Return the manifest as readable JSON: one line for each part, for each record, and for everything else."""
+    """Return the manifest as readable JSON, with one line for each part, each record and each other entry."""
     content: dict[str, Any] = {f.name: getattr(manifest, f.name) for f in fields(manifest)}
     content["feature_set"] = manifest.feature_set.encoded
     content["frames"] = [part.encoded for part in manifest.frames]

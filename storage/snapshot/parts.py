@@ -25,15 +25,15 @@ from kinedex.storage.snapshot.manifest import Part
 from kinedex.storage.snapshot.schemas import frames_schema
 
 ROW_GROUP = 16_384
-"""The rows of a row group of frames: about 3.4 MB on disk, so that reading some seconds of a take reads little else."""
+"""The number of rows in a row group of frames, about 3.4 MB on disk: small, so that an interval is read quickly."""
 
 FULL_BYTES = 32_000_000
-"""The size in bytes of a full results part; further rows go into another part."""
+"""The size in bytes of a full part of results; further rows are written to another part."""
 
 
 @dataclass(frozen=True)
 class _Packed:
-    """Frames of one take, from `first` on, to be written: float32 (3 J + 4, T) in column order, and words (T,)."""
+    """T frames of one take to be written, from number `first` on: float32 (3 J + 4, T) by column, and words (T,)."""
 
     take_id: int
     first: int
@@ -42,7 +42,7 @@ class _Packed:
 
 
 def _table(takes: Sequence[_Packed], schema: pa.Schema) -> pa.Table:
-    """Convert takes to rows of a frames part with one chunk per column, since a chunk per take would cost the most."""
+    """Convert takes to rows of a frames part with one chunk per column, which is faster than one chunk per take."""
     lengths = [len(take.words) for take in takes]
     numbers = np.concatenate([take.numbers for take in takes], axis=1)
     words = np.concatenate([take.words for take in takes])
@@ -84,10 +84,11 @@ def joint_positions(frames: pa.Table, joints: Iterable[str]) -> npt.NDArray[np.f
 
 
 class FramesWriter:
-    """A writer of one frames part, take by take; any process may have one, and committing the part makes it visible.
+    """A writer of one frames part, to which takes are added one by one.
 
-    Takes must be added in ascending order of take_id. `close` returns the record that the coordinator passes to
-    `StoreWriter.add_takes`. An exception in its `with` block removes the unfinished file.
+    Any process may write a part; readers see it after `StoreWriter.add_takes`, with the record that `close` returns,
+    and a commit. Takes must be added in ascending order of take_id. An exception in the `with` block removes the
+    unfinished file.
 
     Parameters
     ----------
@@ -130,14 +131,14 @@ class FramesWriter:
         orientation : float array (4, T)
             The root's unit quaternion w, x, y, z.
         words : uint64 array (T,)
-            One word a frame; `NO_WORD` for an invalid frame, stored as null.
+            One word per frame; `NO_WORD` for an invalid frame, which is stored as null.
         """
         joints = len(self.schema) - 4
         if positions.shape != (joints, 3, len(words)):
             raise ParameterError("positions", f"of shape ({joints}, 3, {len(words)})", positions.shape)
         if orientation.shape != (4, len(words)):
             raise ParameterError("orientation", f"of shape (4, {len(words)})", orientation.shape)
-        self._follow(take_id)
+        self._append_id(take_id)
         for first in range(0, max(len(words), 1), ROW_GROUP):  # for a long take a second copy would be too large
             part = slice(first, first + ROW_GROUP)
             own = np.array(words[part], np.uint64)
@@ -150,18 +151,18 @@ class FramesWriter:
                 self._lay_out()
 
     def add_table(self, take_id: int, table: pa.Table) -> None:
-        """Add a whole take as a table with its frames in order."""
+        """Add a whole take, given as a table with one row per frame, in order."""
         self.add_pieces([take_id], [table])
 
     def add_pieces(self, take_ids: Sequence[int], pieces: Iterable[pa.Table]) -> None:
-        """Add whole takes as tables with all their rows in order, in pieces of any length."""
+        """Add whole takes, given as tables that together have all of their rows, in order, in pieces of any length."""
         self._lay_out()
         for take_id in take_ids:
-            self._follow(take_id)
+            self._append_id(take_id)
         for piece in pieces:
             self._add_piece(piece)
 
-    def _follow(self, take_id: int) -> None:
+    def _append_id(self, take_id: int) -> None:
         if self._take_ids and take_id <= self._take_ids[-1]:
             raise ParameterError("take_id", f"above {self._take_ids[-1]}, the take before", take_id)
         self._take_ids.append(take_id)
@@ -193,7 +194,7 @@ class FramesWriter:
         with write_errors(self._folder):
             if self._writer is None:
                 self._writer = frames_writer(self._temporary, self.schema)
-            # at least one whole group is left, so that the last group of a part is not small
+            # keep at least one whole row group for later, so that the last row group of a part is not small
             while table.num_rows >= 2 * ROW_GROUP:
                 self._write_group(table.slice(0, ROW_GROUP))
                 table = table.slice(ROW_GROUP)
@@ -236,7 +237,7 @@ def frames_writer(sink: Path | BinaryIO, schema: pa.Schema) -> pq.ParquetWriter:
 
 
 def write_part(store: Path, folder: str, table: pa.Table, take_ids: Iterable[int] = ()) -> Part:
-    """Write a small table (takes, results) as one part in `folder`, a path relative to the store."""
+    """Write a small table, such as takes or labels, as one part in `folder`, a path relative to the store."""
     temporary = store / folder / f"{TEMPORARY}{uuid.uuid4().hex}.parquet"
     try:
         with write_errors(store / folder):
@@ -248,7 +249,7 @@ def write_part(store: Path, folder: str, table: pa.Table, take_ids: Iterable[int
 
 
 def write_pieces(store: Path, folder: str, pieces: Iterable[pa.Table]) -> list[Part]:
-    """Write tables of one schema, in order, as parts in `folder`; return no part if there are no rows.
+    """Write tables of one schema as parts in `folder`, in order; without rows, no part is written.
 
     A part is closed when it reaches `FULL_BYTES`. Only one piece is in memory at a time; each becomes a separate row
     group (or several, if it is very long).
@@ -319,7 +320,7 @@ def _discard(writer: pq.ParquetWriter | None, temporary: Path) -> None:
 
 
 def publish_part(store: Path, temporary: Path, folder: str, rows: int, take_ids: Iterable[int]) -> Part:
-    """Flush a finished file to disk and name it after its content; equal content has equal names."""
+    """Flush a finished file to disk and name it after its content, so that equal content has equal names."""
     with write_errors(store / folder):
         sums = sync_file(temporary)
         path = temporary.with_name(f"part-{sums.sha256[:24]}.parquet")
@@ -341,7 +342,7 @@ def read_errors(file: Path) -> Iterator[None]:
 
 
 def _rename(temporary: Path, path: Path) -> None:
-    """Rename a part; if Windows refuses to replace an open file, keep that one, which has the same content."""
+    """Rename a part; if Windows refuses to replace an open file, keep the open one, which has the same content."""
     try:
         os.replace(temporary, path)
     except PermissionError:
@@ -351,7 +352,7 @@ def _rename(temporary: Path, path: Path) -> None:
 
 
 def column_count(file: Path) -> int:
-    """Return the number of columns of a part; those of format 3 do not have it in their manifest."""
+    """Return the number of columns of a part, which manifests of format 3 do not record."""
     with read_errors(file):
         return len(pq.read_schema(file).names)
 

@@ -1,6 +1,7 @@
 """Make records from JSON values by the types of their fields, without pydantic, which is slow to import.
 
-A value of another type raises an error without details; pydantic, which makes the same records, then names the value.
+A value of another type raises an error without details. The caller can then validate the same JSON with pydantic, whose
+error names the value.
 """
 
 from __future__ import annotations
@@ -38,7 +39,7 @@ def record_of(kind: type[Record], value: object) -> Record:
 
 
 def _exactly(kind: type[Value], value: Any) -> Value:
-    """Return a value that must be of a type, and not of one below it."""
+    """Return a value; raise a ValueError unless it is of exactly the given type, not a subtype."""
     if type(value) is not kind:
         raise ValueError
     return value

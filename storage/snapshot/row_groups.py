@@ -1,4 +1,4 @@
-"""Read rows of results by the value of a column, from only the row groups that contain it."""
+"""Read the rows of results with a given value in a column, from only those row groups that contain the value."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from kinedex.storage.snapshot.snapshot import Snapshot
 
 
 class RowGroups:
-    """The rows of one kind of results of a stage, by the value of a column.
+    """The rows of one kind of results of a stage, which can be read by the value of a column.
 
     Parameters
     ----------
@@ -44,7 +44,7 @@ class RowGroups:
 
     @property
     def values(self) -> list[Hashable]:
-        """The values of the column, in their order in the store."""
+        """The distinct values of the column, in their order in the store."""
         return list(self._places)
 
     def __contains__(self, value: Hashable) -> bool:
@@ -52,7 +52,7 @@ class RowGroups:
 
     @property
     def parts(self) -> list[tuple[ResultPart, list[Hashable]]]:
-        """The parts in the order of the store, each with the values of the column that it contains."""
+        """The parts in the order of the store, each with the values that it contains in the column."""
         found: list[tuple[ResultPart, list[Hashable]]] = [(part, []) for part in self._parts]
         for value, places in self._places.items():
             for number in dict.fromkeys(number for number, _ in places):
@@ -60,7 +60,7 @@ class RowGroups:
         return found
 
     def rows(self, value: Hashable, column: str = "", among: Collection[str] = ()) -> pa.Table:
-        """Return the rows with a value of the column, in their order; an empty table if there are none.
+        """Return the rows with a given value in the column, in their order; an empty table if there are none.
 
         Parameters
         ----------
@@ -84,7 +84,7 @@ class RowGroups:
         return pa.concat_tables(found)
 
     def _may_hold(self, place: tuple[int, int], column: str, among: Collection[str]) -> bool:
-        """Return whether a row group may contain one of some values of a column, by its smallest and largest value."""
+        """Return whether a row group may contain one of the given values, judged by its smallest and largest value."""
         low, high = self._ranges(place[0], column)[place[1]]
         return low is None or high is None or any(low <= value <= high for value in among)
 
@@ -104,7 +104,7 @@ class RowGroups:
         return self._known_ranges[part, column]
 
     def _group(self, place: tuple[int, int], schema: pa.Schema) -> pa.Table:
-        """Return a row group; the last one is cached, since successive reads are often in the same group."""
+        """Return a row group; the last one is cached, because successive reads are often from the same row group."""
         if self._last is None or self._last[0] != place:
             file = self._store.checked.part(self._parts[place[0]])
             with read_errors(file), pq.ParquetFile(file) as opened:

@@ -1,4 +1,4 @@
-"""Define the Arrow schemas of a store, which all its Parquet files follow: takes, frames, every kind of result."""
+"""Define the Arrow schemas of the Parquet files of a store: takes, frames, labels and every kind of result."""
 
 from __future__ import annotations
 
@@ -76,12 +76,12 @@ COLUMN_TYPES = {
     "BOOLEAN": pa.bool_(),
     "VARCHAR[]": pa.list_(pa.string()),
 }
-"""A dict from SQL name of a type to Arrow type, for declared columns of takes."""
+"""A dict from the SQL name of a type to its Arrow type, for declared columns of takes."""
 
 
 @dataclass(frozen=True)
 class TakeColumn:
-    """A declared column of takes, which this store has in addition to the columns of every store.
+    """A declared column of takes, which a store has in addition to the columns of every store.
 
     Attributes
     ----------
@@ -89,7 +89,7 @@ class TakeColumn:
         One of `COLUMN_TYPES`.
     origin : str
         Source of its values: "pattern" (a named group of `patterns`), "metadata" (a table of the user), "quality" (a
-        number measured at ingest) or "file" (a statement of the motion file).
+        number measured at ingest) or "file" (an entry of the motion file).
     unit : str
         Unit of its values; empty if they have none.
     meaning : str
@@ -123,15 +123,15 @@ _LABELS = _fields(
     ("note", pa.string()),
 )
 """The columns of labels, one row per statement of a person about the frames [start, stop) of a take. Rows are never
-changed;
-a row replaces an earlier one by its id. `checksum` is the take's source checksum when the statement was made.
+changed; a row may replace an earlier one, which it names by its id. `checksum` is the checksum of the take's source
+when the statement was made.
 """
 
 LABEL_VERDICTS = ("positive", "negative", "withdrawn")
-"""The verdicts of a label: the frames show the class; they do not; the replaced row is withdrawn."""
+"""The verdicts of a label: the frames show the class, the frames do not, or the replaced row is withdrawn."""
 
 LABEL_ORIGINS = ("imported", "accepted", "corrected", "drawn")
-"""The origins of a label: a file; an annotation that a person accepted, rejected or corrected; a person."""
+"""The origins of a label: read from a file, an accepted (or rejected) or corrected annotation, or drawn by a person."""
 
 _SQL_TYPES = {
     **COLUMN_TYPES,
@@ -159,8 +159,8 @@ _REQUIRED = {
     "takes": tuple(name for name in _TAKES.names if name != "known"),
     "labels": tuple(_LABELS.names),
 }
-"""The columns that every part has; for frames all, for results `run`. A column that is added to a schema later is not
-listed: older parts lack it, and its values in their rows are null.
+"""The columns that every part of takes or labels has; parts of frames have all columns, parts of results at least
+`run`. A column that was added to a schema later is not listed, because older parts lack it; it is null in their rows.
 """
 
 RESULT_KINDS = tuple(_RESULTS)
@@ -261,9 +261,9 @@ def result_schema(kind: str) -> pa.Schema:
 
 
 def ranking_schema() -> pa.Schema:
-    """Return the schema of ranked hits in memory: the columns that are stored, then `mirrored`, for searches of images.
+    """Return the schema of ranked hits in memory: the stored columns and `mirrored`, for searches of mirror images.
 
-    Hits of keyframe queries have the schema of the results `hits`. Both begin an interval with the same columns.
+    Hits of keyframe queries have the schema of the results `hits`. The columns of an interval come first in both.
     """
     return result_schema("ranked_hits").append(pa.field("mirrored", pa.bool_()))
 
@@ -272,12 +272,12 @@ def hits_table(
     schema: pa.Schema, takes: pa.Table, starts: npt.NDArray[np.int64], stops: npt.NDArray[np.int64], rate_hz: float,
     **columns: object,
 ) -> pa.Table:  # fmt: skip
-    """Make a table of hits: the form in which stages, the store, Python, SQL, reports and the explorer have them.
+    """Make a table of hits, the form that stages, the store, Python, SQL, reports and the explorer share.
 
     Parameters
     ----------
     schema : pyarrow.Schema
-        That of the results `hits`, or `ranking_schema`.
+        The schema of the results `hits`, or `ranking_schema`.
     takes : pyarrow.Table
         The id and the name of the take of each hit.
     starts, stops : int64 array (H,)
@@ -299,12 +299,12 @@ def hits_table(
 
 
 def hits_of(table: pa.Table, named: str = "template") -> list[Hit]:
-    """Return the rows of a table of hits as objects, where a person or a page looks at few.
+    """Return the rows of a table of hits as objects, for a few hits that are printed or shown on a page.
 
     Parameters
     ----------
     table : pyarrow.Table
-        Rows with take, start, stop, and cost and mirrored where there are any.
+        Rows with the columns take, start and stop, and optionally cost and mirrored.
     named : str
         The column with the name of the template or query.
     """
@@ -320,23 +320,23 @@ def result_table(kind: str, rows: Iterable[Mapping[str, Any]], run: str) -> pa.T
 
 
 def columns_table(kind: str, columns: Mapping[str, Any], **constants: object) -> pa.Table:
-    """Return rows of a kind of result from their columns, and from values that are the same in every row."""
+    """Return rows of a kind of result, made from columns and from values that are the same in every row."""
     schema, count = result_schema(kind), len(next(iter(columns.values())))
     same = {name: pa.repeat(pa.scalar(value, schema.field(name).type), count) for name, value in constants.items()}
     return with_columns(pa.table({**columns, **same}), schema)
 
 
 def with_columns(table: pa.Table, schema: pa.Schema) -> pa.Table:
-    """Return the table with exactly the columns of the schema; missing ones are filled with nulls.
+    """Return the table with exactly the columns of the schema; missing columns are filled with nulls.
 
-    It serves to read parts that were written before a column existed. Columns not in the schema are dropped.
+    This is for parts that were written before a column existed. Columns that are not in the schema are dropped.
     """
     there = dict(zip(table.column_names, table.columns, strict=True))
     return pa.table([_column(there.get(field.name), field, table.num_rows) for field in schema], schema=schema)
 
 
 def _column(column: pa.ChunkedArray | None, field: pa.Field, rows: int) -> pa.ChunkedArray:
-    """Return a column with the field's type, nulls if it is None; conversion needs the slow `pyarrow.compute`."""
+    """Return a column with the field's type, or nulls if it is None; conversion needs the slow `pyarrow.compute`."""
     if column is None:
         return pa.chunked_array([pa.nulls(rows, field.type)])
     return column if column.type == field.type else column.cast(field.type)
@@ -388,7 +388,7 @@ def conform(table: pa.Table, schema: pa.Schema, what: str) -> pa.Table:
 def schema_problem(found: pa.Schema, expected: pa.Schema) -> str | None:
     """Return the first difference between a part's schema and the expected one; None if there is none.
 
-    Columns that were added later may be missing (`_REQUIRED`), since a part keeps the columns it was written with.
+    Columns that were added later may be missing (`_REQUIRED`), since a part keeps the columns that it was written with.
     """
     kind = (expected.metadata or {}).get(f"{_METADATA}kind".encode(), b"").decode()
     required = expected.names if kind == "frames" else _REQUIRED.get(kind, ("run",))

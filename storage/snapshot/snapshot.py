@@ -25,11 +25,11 @@ from kinedex.storage.snapshot.stored_labels import current_labels
 from kinedex.storage.snapshot.visible_results import all_parts, origin_of, pipeline_of, shown_parts
 
 _FEW_ROWS = 20_000
-"""The largest number of rows of a part that is read by one thread, which is then faster than several."""
+"""The largest number of rows of a part that one thread reads; for so few rows it is faster than several threads."""
 
 
 class Snapshot:
-    """One version of a store, read-only: manifest and parts, without index and SQL.
+    """One version of a store, read-only, with its manifest and parts but without index and SQL.
 
     Parameters
     ----------
@@ -71,7 +71,7 @@ class Snapshot:
         return self._read_takes(schema, schema.names).select(names)
 
     def _read_takes(self, schema: pa.Schema, names: Sequence[str] | None = None) -> pa.Table:
-        """Return the rows of all live takes, sorted by name, with the given columns of a schema or all."""
+        """Return the rows of all live takes, sorted by name, with the given columns of a schema or all of them."""
         tables = []
         for part in self.manifest.takes:
             table = _read_part(self.checked.part(part), schema, names)
@@ -213,7 +213,7 @@ class Snapshot:
         Parameters
         ----------
         history : bool, optional
-            Also return rows that others replace or withdraw, and those that withdraw them.
+            Also return rows that were replaced or withdrawn by later rows, and the rows that withdraw others.
         """
         schema = labels_schema()
         tables = [_read_part(self.checked.part(part), schema) for part in self.manifest.labels]
@@ -275,7 +275,7 @@ class Snapshot:
         return [part for part in self.manifest.results.get(kind, ()) if part.stage == stage]
 
     def rows_of(self, kind: str, stage: str, column: str, values: Iterable[int | str]) -> pa.Table:
-        """Return the rows of a kind of results that a stage has of some takes or recordings, piece by piece read.
+        """Return the rows that a stage wrote for some takes or recordings; one piece at a time is read.
 
         Parameters
         ----------
@@ -286,7 +286,7 @@ class Snapshot:
         column : str
             The column that names the take or the recording of a row.
         values : iterable of int or str
-            Those of them whose rows are returned.
+            The takes or recordings whose rows are returned.
         """
         import pyarrow.compute as pc  # here, because most commands filter no rows
 
@@ -326,7 +326,7 @@ def _read_part(file: Path, schema: pa.Schema, columns: Sequence[str] | None = No
 
 
 def _known_rows(file: Path) -> list[tuple[int, int]]:
-    """Return the ids and masks of the takes of a part that lack joints; skip reading if no take lacks any."""
+    """Return the ids and masks of the takes of a part that lack joints; the rows are not read if no take lacks any."""
     with read_errors(file), pq.ParquetFile(file) as opened:
         place = opened.schema_arrow.get_field_index("known")
         groups = [opened.metadata.row_group(number) for number in range(opened.num_row_groups)] if place >= 0 else []

@@ -28,7 +28,8 @@ def current_labels(rows: pa.Table) -> pa.Table:
 def is_of_limbs(row: Mapping[str, Any]) -> bool:
     """Return whether a label is about errors of limbs, not about a motion.
 
-    Its class is `error`. A negative one states that the limb is correct, or, without a limb, that all limbs are.
+    The class of such a label is `error`. A negative label states that its limb is correct, or that all limbs are
+    correct if it names no limb.
     """
     return row["class"] == ERROR and (row["limb"] is not None or row["verdict"] == "negative")
 

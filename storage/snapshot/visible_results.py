@@ -1,8 +1,9 @@
-"""Choose the results that a store shows under the plain names of views: those of one pipeline's latest run.
+"""Choose the results that a store shows under the plain names of views: those of the latest run of one pipeline.
 
-Each kind of results is shown for one pipeline only, so that no query adds up two of them: the current pipeline or, if
-it has no stage that makes the kind, the latest one that has. Results about source files are shown from the last ingest
-of each folder, by any pipeline; saved hits are all shown. Views with the prefix `all_` show the rows of every pipeline.
+Each kind of results is shown for one pipeline only, so that no query adds up the rows of two pipelines. This is the
+current pipeline or, if none of its stages makes the kind, the latest pipeline with a stage that does. Results about
+source files are those of the last ingest of each folder, by any pipeline, and saved hits are always shown. Views with
+the prefix `all_` show the rows of every pipeline.
 """
 
 from __future__ import annotations
@@ -24,7 +25,7 @@ PIPELINE_KINDS = tuple(view.name for view in RESULT_VIEWS if view.name not in (*
 """The kinds of results that belong to a pipeline."""
 
 READER_OF_SENSORS = "read_imu"
-"""The kind of stage whose recordings are not a source of takes, and whose rejected files are shown beside theirs."""
+"""The kind of stage that reads sensors; its rejected files are shown beside those of ingests, which make takes."""
 
 _STAGES_OF = {view.name: frozenset(view.stages) for view in RESULT_VIEWS}
 _STAGE_KINDS = frozenset(stage for kind in PIPELINE_KINDS for stage in _STAGES_OF[kind])
@@ -37,7 +38,7 @@ def makes_results(stage_kinds: Iterable[str]) -> bool:
 
 
 def pipelines_by_use(manifest: Manifest) -> tuple[str, ...]:
-    """Return the pipelines with results: the current one first, then the others, the latest first."""
+    """Return the pipelines with results: first the current one, then the others from the latest to the earliest."""
     finished: dict[str, str] = {}
     for key, record in manifest.stages.items():
         if record.summary.get("uses") in _STAGE_KINDS:
@@ -97,7 +98,7 @@ def origin_of(manifest: Manifest, kind: str, part: ResultPart) -> dict[str, str 
 
 
 def pipeline_run_of(manifest: Manifest, record: StageRecord) -> str:
-    """Return the pipeline run that includes a stage's last run; older stores know only the pipeline's last run."""
+    """Return the pipeline run of a stage's last run; records of an older kinedex give only the pipeline's last run."""
     known = manifest.pipelines.get(pipeline_of(record.stage))
     return record.pipeline_run or (record.run if known is None else known.run)
 
