@@ -1,16 +1,17 @@
 """Merge small parts into large ones and remove tombstones, at a cost proportional to what was added.
 
-Every ingest writes parts of the size of its batches. Tiers decide which of them are merged: a part whose live rows
-number at least `FANOUT` ** k, but fewer than `FANOUT` ** (k + 1), is of tier k, and a tier is merged once it holds
-`FANOUT` parts or more. The merged part has at least `FANOUT` ** (k + 1) rows, so it is of a higher tier: each time a
-row is rewritten, it rises a tier. A part of `target_bytes` is full and not merged again; for the frames of a 100 MB
-part, some 500,000 rows, that is at most log8(500,000) < 7 tiers, for any number of ingests. Adding N rows in small
-steps thus costs O(N log N) row writes in all, and adding 10 files to 10,000 takes usually merges nothing. The lower
-tiers stay below `FANOUT` parts each, so a store has some 50 small parts at most. (Log-structured merge trees do the
-same: O'Neil et al., "The log-structured merge-tree", 1996; the rule by sizes is known as size-tiered compaction.)
+Every ingest writes parts as large as its batches. Tiers decide which parts are merged: a part with at least
+`FANOUT` ** k live rows, but fewer than `FANOUT` ** (k + 1), is of tier k, and a tier is merged once it has `FANOUT`
+parts or more. The merged part has at least `FANOUT` ** (k + 1) rows and is of a higher tier, so that a row rises by at
+least one tier each time it is rewritten. A part of `target_bytes` is full and not merged again. A full frames part of
+100 MB has some 500,000 rows, so that there are at most log8(500,000) < 7 tiers, for any number of ingests. Adding N
+rows in small steps thus costs O(N log N) row writes in all, and adding 10 files to 10,000 takes usually merges nothing.
+The lower tiers stay below `FANOUT` parts each, so a store has some 50 small parts at most. (Log-structured merge trees
+work in the same way: O'Neil et al., "The log-structured merge-tree", 1996; the rule by sizes is known as size-tiered
+compaction.)
 
-A part with more than half of its rows under tombstones is rewritten alone, which costs fewer row writes than rows were
-replaced or dropped since it was made.
+A part that has tombstones for more than half of its rows is rewritten alone. This writes fewer rows than were replaced
+or dropped since the part was made.
 """
 
 from __future__ import annotations
@@ -43,7 +44,7 @@ FANOUT = 8
 """The number of parts of one tier that are merged, and the ratio of the tiers' sizes."""
 
 MIN_ROWS = 131_072
-"""The smallest number of rows of the parts into which a merge is divided among workers: about 27 MB on disk."""
+"""The smallest number of rows of a part when a merge is divided among workers, about 27 MB on disk."""
 
 KEPT_ROWS = 262_144
 """The largest number of old rows that a merge keeps in memory, some 90 MB; one row group or take may be larger."""
@@ -52,7 +53,7 @@ AnyPart = TypeVar("AnyPart", Part, ResultPart)
 
 
 class Map(Protocol):
-    """A function that distributes merges over cores like the `map` of an executor, with results in order."""
+    """A function that distributes merges over cores and yields results in order, like the `map` of an executor."""
 
     def __call__(self, function: Callable[[Merge], Part], items: Iterable[Merge], /) -> Iterator[Part]:
         """Apply the function to every item."""
@@ -86,7 +87,7 @@ class Merge:
 
 @dataclass(frozen=True)
 class Compaction:
-    """The result of a compaction: the numbers of merged and of new parts, and the errors of damaged ones."""
+    """The result of a compaction: the numbers of merged and of new parts, and the errors of damaged parts."""
 
     frames_before: int
     frames_after: int
@@ -105,11 +106,12 @@ def compact(
 ) -> Compaction:
     """Merge small parts of a store, rewrite parts that are mostly tombstones, and commit the result as one version.
 
-    A damaged part of frames is left unchanged, so that it does not get a new checksum; the others are merged.
+    A damaged part of frames is left unchanged, because a rewritten part would get a valid checksum; the other parts are
+    merged.
 
     The takes, their ids and the index stay valid. The old files are kept for readers of older versions until
-    `storage.store.garbage_collection.collect_garbage`. If the process is killed before the commit, the store is
-    unchanged.
+    `storage.store.garbage_collection.collect_garbage` removes them. If the process is killed before the commit, the
+    store is unchanged.
 
     Parameters
     ----------
@@ -172,7 +174,7 @@ def merge_groups(parts: Iterable[AnyPart], full_bytes: float = float("inf")) -> 
     parts : iterable of Part or ResultPart
         All parts of one kind.
     full_bytes : float, optional
-        Size of the live rows, estimated by their number, at which a part is not merged.
+        Size of the live rows, estimated from their number, from which on a part is not merged.
     """
     tiers: dict[int, list[AnyPart]] = {}
     alone = []
@@ -203,8 +205,8 @@ def part_count(count: int, workers: int, *, fits: int, worth: int) -> int:
     fits : int
         Number of full parts for which there are enough rows.
     worth : int
-        Number of parts of a higher tier with at least `MIN_ROWS`. A merge makes at most half of `FANOUT` parts that
-        are not full, since more would soon be merged again.
+        Number of parts of a higher tier, with at least `MIN_ROWS` rows each, for which there are enough rows. A merge
+        makes at most half of `FANOUT` parts that are not full, since more would soon be merged again.
     """
     if count < workers:
         return max(count, min(workers, worth, FANOUT // 2))
@@ -215,8 +217,8 @@ def part_count(count: int, workers: int, *, fits: int, worth: int) -> int:
 def merge(task: Merge) -> Part:
     """Write one new frames part; the function can run in any process, and calling it again is harmless.
 
-    The old parts are read a row group at a time. A part whose content does not match its checksum is refused, so that
-    it does not get a new one.
+    The old parts are read one row group at a time. A part that does not match its checksum is refused, because its
+    rows would get a valid checksum in the new part.
     """
     homes = {take: place for place, part in enumerate(task.parts) for take in part.live}
     files = CheckedFiles(task.store).parts(task.parts)
@@ -268,7 +270,7 @@ def _merges(store: Snapshot, group: list[Part], target_bytes: int, workers: int)
 
 
 def _row_ranges(file: Path, part: Part) -> dict[int, tuple[int, int]]:
-    """Return a dict from take id to row range (start, stop) in a part, for takes that are not deleted."""
+    """Return a dict from take id to row range (start, stop) in a part, for its live takes."""
     with read_errors(file):
         ids = pq.read_table(file, columns=["take_id"]).column("take_id").to_numpy()
     live = np.array(part.live, np.int64)
@@ -277,7 +279,7 @@ def _row_ranges(file: Path, part: Part) -> dict[int, tuple[int, int]]:
 
 
 def _joined(ids: list[int], row_ranges: Mapping[int, tuple[int, int]]) -> Iterator[tuple[int, int, list[int]]]:
-    """Yield ranges of adjacent rows, with the takes in each."""
+    """Yield the ranges of rows of the takes, with the takes in each; adjacent ranges are joined."""
     start, stop = row_ranges[ids[0]]
     members: list[int] = []
     for take in ids:
@@ -310,7 +312,7 @@ class _RowGroups:
             first = ends[group - 1] if group else 0
             end = min(stop, ends[group])
             table = self._group(file, group)
-            # a slice would keep the whole row group in memory until it is written
+            # copied, because a slice would keep the whole row group in memory until the slice is written
             whole = end - start == table.num_rows
             yield table if whole else table.take(np.arange(start - first, end - first))
             start = end
@@ -333,7 +335,7 @@ class _RowGroups:
 
 
 def _merge_takes(store: Snapshot, parts: list[Part]) -> Part:
-    """Write the live rows of takes parts as one part in memory; a row is only some hundred bytes."""
+    """Write the live rows of takes parts as one part. They are collected in memory, with some hundred bytes per row."""
     tables = []
     for part in parts:
         file = store.checked.part(part)

@@ -1,8 +1,8 @@
-"""Write the database file of a store: all views and macros for other DuckDB clients, over the files of one version.
+"""Write the database file of a store, which gives other DuckDB clients all views and macros over one version.
 
-`kinedex.duckdb` holds views, macros and small tables. Its views name the Parquet files of the version and the index one
-by one, by absolute paths, so that no file of another version is ever read with them. Commands that change the store
-rewrite an existing file; the view `store_version` compares its version with the newest one of the store.
+`kinedex.duckdb` holds views, macros and small tables. Its views name the index and each Parquet file of the version by
+absolute paths, so that no file of another version is ever read with them. Commands that change the store rewrite the
+database file if it exists; its view `store_version` compares its version with the newest version of the store.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ def write_database(store: Store) -> Path:
     Parameters
     ----------
     store : Store
-        The version that its views show.
+        The version that the views of the file show.
 
     Returns
     -------
@@ -68,7 +68,7 @@ def _write(connection: duckdb_sql.Connection, store: Store, index: Path, path: P
 
 
 def refresh_database(path: Path) -> None:
-    """Rewrite the database file of a store if there is one; on failure, the earlier one is kept."""
+    """Rewrite the database file of a store if it exists; on failure, the earlier file is kept."""
     if (path / DATABASE).is_file():
         with suppress(KinedexError, OSError), open_store(path) as store:
             write_database(store)

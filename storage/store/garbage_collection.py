@@ -37,11 +37,11 @@ from kinedex.storage.store.history import FILES
 from kinedex.storage.store.history import FOLDER as HISTORY
 
 KEPT_VERSIONS = 2
-"""The number of newest versions that are kept: the newest, and one in case its manifest is damaged."""
+"""The number of newest versions that are kept: the newest one, and another in case its manifest is damaged."""
 
 
 _OTHER_FOLDERS = (".", HISTORY, FILES, "jobs", f"{QUARANTINE}/*")
-"""The folders without parts, whose files are written without the store's lock, or by a repair."""
+"""The folders without parts, whose files are written without the lock of the store, or by a repair."""
 
 
 @dataclass(frozen=True)
@@ -71,7 +71,7 @@ class CollectedGarbage:
     Attributes
     ----------
     removed : list of Garbage
-        Files and folders that were removed, or would be, versions first.
+        Files and folders that were removed, or would be without `dry_run`; versions come first.
     open_versions : list of OpenVersion
         Versions that are kept only because readers have them open.
     """
@@ -101,7 +101,7 @@ def collect_garbage(
     keep : int, optional
         Number of newest versions to keep, at least 1.
     older_than_seconds : float, optional
-        Age in seconds since the commit below which versions are kept.
+        Least time in seconds since the commit of a version that is removed; younger versions are kept.
     dry_run : bool, optional
         Remove nothing; only return what would be removed.
     wait : Wait, optional
@@ -109,14 +109,14 @@ def collect_garbage(
 
     Returns
     -------
-    Collection
+    CollectedGarbage
         The removed files, and the versions that readers have open.
 
     Raises
     ------
     StoreError
-        There is no store; a writer or an index build is active; a remaining version is damaged, so that the parts that
-        it needs are unknown. Then nothing is removed.
+        There is no store; a writer or an index build is active; or a remaining version is damaged, so that the parts
+        that it needs are unknown. Nothing is removed.
     """
     root = Path(store)
     if keep < 1:
@@ -170,7 +170,7 @@ def shown_bytes(count: int) -> str:
 
 
 def _old_versions(root: Path, keep: int, older_than_seconds: float) -> list[int]:
-    """Return the versions beyond the newest ones that are old enough to be removed, ascending."""
+    """Return the versions that are old enough to be removed and not among the newest `keep`, ascending."""
     found = versions(root)
     readable, _ = readable_version(root, read_version(root, found[-1]))
     old = [version for version in found[:-keep] if version != readable]
@@ -181,7 +181,7 @@ def _old_versions(root: Path, keep: int, older_than_seconds: float) -> list[int]
 
 
 def _committed(root: Path, version: int) -> float:
-    """Return the commit time of a version in seconds; the time of its file if the manifest is damaged."""
+    """Return the commit time of a version in seconds since 1970; if its manifest is damaged, the time of the file."""
     try:
         return datetime.fromisoformat(read_version(root, version).created).timestamp()
     except (StoreError, ValueError):
@@ -197,7 +197,7 @@ def _remove_version(root: Path, version: int) -> bool:
 
 
 def _unneeded(root: Path, gone: Container[int]) -> list[Garbage]:
-    """Return the files that no version needs except the versions to be removed."""
+    """Return the files that are needed by no version, or only by the versions to be removed."""
     stay = [version for version in versions(root) if version not in gone]
     return [*_parts(root, stay), *_unfinished(root), *_generations(root, stay)]
 
@@ -238,7 +238,7 @@ def _generations(root: Path, stay: list[int]) -> Iterator[Garbage]:
 
 
 def _size(folder: Path) -> int:
-    # a file shared by several generations through hard links counts in shares
+    # the size of a file that generations share through hard links is divided by the number of links
     found = (file.stat() for file in folder.rglob("*") if file.is_file())
     return sum(file.st_size // file.st_nlink for file in found)
 

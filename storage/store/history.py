@@ -1,8 +1,9 @@
-"""Keep the history of a store: a file for each pipeline run, which is kept when the run's results are gone.
+"""Keep the history of a store: a file for each pipeline run, which remains after the run's results are removed.
 
-`history/<run>.json` has one pipeline run and its checksum, `history/files/<sha256>` the content of a user's file that
-its parameters name, such as a class file. So manifests do not grow with the number of runs; garbage collection keeps
-both kinds of files. Runs from before the history existed are read from the remaining manifests.
+`history/<run>.json` has the record of a pipeline run and a checksum. `history/files/<sha256>` has the content of a
+user's file that the parameters of a run name, such as a class file. Garbage collection keeps both kinds of files.
+Manifests do not grow with the number of runs. Runs from before the history existed are read from the remaining
+manifests.
 """
 
 from __future__ import annotations
@@ -36,7 +37,7 @@ def file_sums(store: Path, files: Iterable[str]) -> dict[str, str]:
 
 
 def wrong_files(store: Path, records: Iterable[StageRecord]) -> Iterator[tuple[str, str]]:
-    """Yield path and problem of each file of stages of the newest version that is missing or has changed."""
+    """Yield path and problem of each file that a stage has recorded and that is missing or has changed."""
     for record in records:
         sums = record.summary.get(SUMS, {})
         for name in record.summary.get("files", ()):
@@ -164,7 +165,7 @@ class PipelineRun:
     state : {"running", "finished", "failed", "interrupted"}
         Its state; a run whose process was killed stays "running".
     begun, finished : str
-        Times of its start and of the end of its last stage so far, ISO 8601 in UTC.
+        Times of its start and of the end of the last stage that has ended, ISO 8601 in UTC.
     seconds : float
         Duration of the stages that ran.
     kinedex : str
@@ -369,7 +370,7 @@ def _runs_of_manifests(store: Path) -> Iterator[PipelineRun]:
 
 
 def _records_of_stages(manifest: Manifest) -> dict[str, PipelineRecord]:
-    """Return records of the pipelines that a version of format 3 names only through their stages."""
+    """Return records of the pipelines of a version of format 3, which has only the records of their stages."""
     found: dict[str, PipelineRecord] = {}
     for key, stage in sorted(manifest.stages.items(), key=lambda item: item[1].finished):
         sources = {stage.summary.get("params", {}).get("source") or ""} - {""}
@@ -381,7 +382,7 @@ def _records_of_stages(manifest: Manifest) -> dict[str, PipelineRecord]:
 
 
 def _run_of_record(manifest: Manifest, name: str, record: PipelineRecord) -> PipelineRun:
-    """Return a run as described by its record in a manifest and the records of its stages."""
+    """Return a run, as far as its record in a manifest and the records of its stages describe it."""
     stages = [one for key, one in manifest.stages.items() if key.partition("/")[0] == name and "uses" in one.summary]
     known = tuple(
         StageRun(

@@ -1,4 +1,4 @@
-"""Scan tables of a store as lazy frames of polars, over exactly the live files and rows."""
+"""Scan tables of a store as lazy frames of polars, over exactly the files and live rows of one version."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ def scan(store: Snapshot, view: str) -> pl.LazyFrame:
     store : Snapshot
         The version to read; its parts are checked first.
     view : str
-        "takes", "frames", or a view of results, also with `all_` before its name.
+        "takes", "frames", or a view of results, with or without the prefix `all_`.
 
     Raises
     ------

@@ -1,4 +1,4 @@
-"""Check recordings of sensors, and the limbs and limb errors that follow: find rows that contradict each other."""
+"""Check recordings of sensors, and limbs and limb errors computed from them, for rows that contradict each other."""
 
 from __future__ import annotations
 
@@ -22,8 +22,9 @@ _UNIT = 1e-6
 def imu_problems(store: Snapshot) -> Iterator[tuple[str, str]]:
     """Yield the part and the problem of each inconsistency in recordings of sensors.
 
-    The samples of a sensor must be 0, 1, …, as many as its row in `imu_recordings` counts, at ascending times; their
-    orientations must have length 1. A sensor with samples must have a row with a limb, and the other way round.
+    The samples of a sensor must be numbered 0, 1, …, at ascending times, and there must be as many as the sensor's row
+    in `imu_recordings` states; their orientations must have length 1. A sensor with samples must have a row with a
+    limb, and a sensor whose row has a limb must have samples.
 
     Parameters
     ----------
@@ -90,15 +91,15 @@ def _piece_problem(piece: pa.Table, found: dict[tuple[str, str], int], last: dic
     return ""
 
 
-_OFF_LENGTH = 1e-3
-"""The largest deviation of the length of quaternions and directions from 1."""
+_LENGTH_TOLERANCE = 1e-3
+"""The largest deviation from 1 of the squared length of quaternions and directions."""
 
 
 def limb_problems(store: Snapshot) -> Iterator[tuple[str, str]]:
     """Yield the part and the problem of each inconsistency in results about limbs, clocks and mounts.
 
     The frames of a limb must be consecutive; a valid frame must have an orientation or a direction; quaternions must
-    have length 1. A clock and a mount must exist, or the reason why they do not.
+    have length 1. The row of a clock or a mount must have its values, or else the reason why they are missing.
 
     Parameters
     ----------
@@ -134,18 +135,18 @@ def _mount_problem(row: dict[str, Any]) -> str:
     if found == (row["left_out"] is not None) or (not found and mounts):
         return f"{name} has neither a mount nor the reason for which there is none, or both"
     rotations = [one for one in (row["q_global"], *mounts) if one is not None]
-    if any(abs(sum(value**2 for value in one.values()) - 1.0) > _OFF_LENGTH for one in rotations):
+    if any(abs(sum(value**2 for value in one.values()) - 1.0) > _LENGTH_TOLERANCE for one in rotations):
         return f"{name} has a rotation or a direction that is not of length 1"
     shares = [row[key] for key in ("inliers", "observability") if row[key] is not None]
     return "" if all(0.0 <= value <= 1.0 for value in shares) else f"{name} has a share beyond 0 and 1"
 
 
 def _frames_problem(counts: Counter[tuple[str, str]], _: ResultPart, piece: pa.Table) -> str:
-    return _order_problem(piece, counts) or _turn_problem(piece)
+    return _order_problem(piece, counts) or _rotation_problem(piece)
 
 
 def _order_problem(piece: pa.Table, counts: Counter[tuple[str, str]]) -> str:
-    """Return the problem of the first frame that does not follow the limb's frame before; count each limb's frames."""
+    """Return the problem of the first frame that does not follow the previous one of its limb; count frames by limb."""
     takes, limbs = (piece.column(name).to_numpy(zero_copy_only=False) for name in ("take", "limb"))
     frames = piece.column("source_frame").to_numpy()
     breaks = np.flatnonzero((takes[1:] != takes[:-1]) | (limbs[1:] != limbs[:-1])) + 1
@@ -159,12 +160,12 @@ def _order_problem(piece: pa.Table, counts: Counter[tuple[str, str]]) -> str:
     return ""
 
 
-def _turn_problem(piece: pa.Table) -> str:
-    """Return the problem of the first frame with an invalid rotation, or that is valid without a rotation."""
+def _rotation_problem(piece: pa.Table) -> str:
+    """Return the problem of the first frame that has an invalid rotation, or is valid but has no rotation."""
     rotations = piece.column("orientation").combine_chunks()
     axes = [pc.struct_field(rotations, axis).to_numpy(zero_copy_only=False) for axis in "wxyz"]
     squares = np.asarray(np.sum([np.square(axis.astype(np.float64)) for axis in axes], axis=0))
-    wrong = np.flatnonzero(np.abs(squares - 1.0) > _OFF_LENGTH)  # NaN, which stands for unknown, compares as False
+    wrong = np.flatnonzero(np.abs(squares - 1.0) > _LENGTH_TOLERANCE)  # False for NaN, which stands for unknown
     if len(wrong):
         return f"{_named(piece, int(wrong[0]))} has an orientation that is not of length 1"
     needed = np.where(pc.equal(piece.column("basis"), "none").to_numpy(), "direction", "orientation")
@@ -189,10 +190,10 @@ _KINDS = ("distance", "jump")
 def limb_error_problems(store: Snapshot) -> Iterator[tuple[str, str]]:
     """Yield the part and the problem of each inconsistency in limb errors, their runs and metrics.
 
-    The frames of a limb must be 0, 1, …; angles must be between 0 and 180 degrees, and present in each frame that is
-    judged. Runs must be within the frames of their limb, and the peak of runs of wrong frames must exceed the threshold
-    τ. Labels must end after their start. In metrics, no count may exceed its total, and measures must be between 0 and
-    1.
+    The frames of a limb must be numbered 0, 1, …; angles must be between 0 and 180 degrees, and every frame with a
+    verdict must have an angle. Runs of frames must be within the frames of their limb, and the peak of a run of wrong
+    frames must exceed the threshold τ. Labels must end after their start. In metrics, no count may exceed its total,
+    and measures must be between 0 and 1.
 
     Parameters
     ----------
@@ -220,7 +221,7 @@ def limb_error_problems(store: Snapshot) -> Iterator[tuple[str, str]]:
 
 
 def _error_problem(stage: str, rows: pa.Table, frames: dict[tuple[str, int, str], int]) -> str:
-    """Return the problem of rows of errors; count frames in `frames`, since a limb may continue in the next rows."""
+    """Return the problem of rows of errors; count frames in `frames`, as a limb may continue in the next rows."""
     for name in _ANGLES:
         values = pc.drop_null(rows.column(name)).to_numpy()
         if not ((values >= 0.0) & (values <= 180.0 + 1e-6)).all():

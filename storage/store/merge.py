@@ -21,7 +21,7 @@ _NAMED = 5
 
 @dataclass(frozen=True)
 class MergeResult:
-    """The content that was added from the other store.
+    """Counts of what a merge has added from the other store.
 
     Attributes
     ----------
@@ -32,7 +32,7 @@ class MergeResult:
     labels : int
         Number of rows of labels, including replaced ones.
     kept_mappings : tuple of str
-        Names of skeleton mappings that differ between the stores; the first store's are kept.
+        Names of skeleton mappings that differ between the stores; those of the first store are kept.
     """
 
     takes: int
@@ -46,8 +46,8 @@ def merge_store(
 ) -> MergeResult:
     """Add the takes and labels of another store, and commit them as one version.
 
-    Frames are copied unchanged, with new ids of takes; no motion file is read. Results are not copied. If the process
-    is killed before the commit, the store is unchanged, and the next writer removes the copies.
+    Frames are copied unchanged, with new ids of takes, and no motion file is read. Results are not copied. If the
+    process is killed before the commit, the store is unchanged, and the next writer removes the copied files.
 
     Parameters
     ----------
@@ -58,7 +58,7 @@ def merge_store(
     prefix : str, optional
         Prefix for the names of the other store's takes.
     progress : callable, optional
-        Called with the number of takes of each part of frames that has been copied.
+        Called after each copied part of frames, with its number of takes.
 
     Raises
     ------

@@ -15,15 +15,15 @@ from kinedex.ops.body.joint_tree import JOINTS
 from kinedex.storage.snapshot.manifest import ResultPart
 from kinedex.storage.snapshot.snapshot import Snapshot
 
-_UNIT = 1e-4  # directions are float32: the tolerance of their lengths
+_UNIT = 1e-4  # tolerance of the lengths of directions, which are float32
 
 
 def pose_problems(store: Snapshot) -> Iterator[tuple[str, str]]:
     """Yield the part and the problem of each inconsistency in the pose databases of a store.
 
-    The numbers of poses must be 0, 1, …; directions must have length 1 or 0; the number and order of poses must agree
-    with the rows of their takes; and every frame that a pose represents must name an existing pose, which is the frame
-    itself if it is a pose.
+    Poses must be numbered 0, 1, …, and their directions must have length 1 or 0. The number and order of poses must
+    agree with the rows of their takes. Every frame that a pose represents must name an existing pose; a frame that is
+    itself a pose must name that pose.
 
     Parameters
     ----------
@@ -104,11 +104,11 @@ class _Problem(Exception):
 def reconstruction_problems(store: Snapshot) -> Iterator[tuple[str, str]]:
     """Yield the part and the problem of each inconsistency in the results of takes made from depth.
 
-    A take must have one row in `reconstructions`, and in `reconstruction_frames` a row for each of its frames; the
-    frame must name the hypothesis of least cost, and have joints if it has a hypothesis. Each of these frames must have
-    one winner in `depth_votes`, with its hypothesis, direction, cost and origin. Errors must be valid fractions and
-    distances, for as many frames as their take has. Frames of archive takes are not compared, since these takes may
-    have been replaced.
+    A take must have one row in `reconstructions`, and one row in `reconstruction_frames` for each of its frames. The
+    row of a frame must name the hypothesis of least cost, and have joints if it has a hypothesis. A frame with a
+    hypothesis must have exactly one winner in `depth_votes`, with the same hypothesis, direction, cost and origin.
+    Errors must be valid fractions and distances, for as many frames as their take has. The frames of archive takes that
+    votes name are not checked, since these takes may have been replaced.
 
     Parameters
     ----------
@@ -155,7 +155,7 @@ class _Rows:
 
 
 def _rows(store: Snapshot, kind: str, parts: Sequence[ResultPart], names: Sequence[str], order: Sequence[str]) -> _Rows:
-    """Read columns; texts become object arrays, and missing numbers NaN or −1."""
+    """Read columns of results; texts become object arrays, and missing numbers become NaN or −1."""
     pieces, numbers = [], []
     for number, part in enumerate(parts):
         for piece in store.result_pieces(kind, [part]):
@@ -208,7 +208,7 @@ def _check_stage(store: Snapshot, parts: Sequence[Sequence[ResultPart]]) -> None
 
 
 def _check_takes(takes: _Rows, frames: _Rows) -> None:
-    """Check that takes have all of their frames, and that the values of each frame are consistent."""
+    """Check that each take has all of its frames, and that the values of each frame are consistent."""
     ids, starts, counts = np.unique(frames["take_id"], return_index=True, return_counts=True)
     place = np.searchsorted(takes["take_id"], ids)
     known = (place < len(takes["take_id"])) & (

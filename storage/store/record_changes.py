@@ -13,7 +13,7 @@ from kinedex.storage.store.version_changes import VersionDraft
 
 
 class RecordChanges(VersionDraft):
-    """The methods of a version's draft that change records."""
+    """The methods of the draft of a version that change records."""
 
     def record_source(self, root: str, stage: str, settings: Mapping[str, Any]) -> None:
         """Record the settings with which a source folder is ingested, replacing its earlier ones.
@@ -61,12 +61,12 @@ class RecordChanges(VersionDraft):
         self._manifest = replace(self._manifest, pipelines={**self._manifest.pipelines, name: record})
 
     def record_run(self, pipeline: str) -> None:
-        """Record that a pipeline with results was run to its end; it becomes current unless the user has chosen one."""
+        """Record that a pipeline with results has finished, which makes it current unless the user has chosen one."""
         recent = tuple(dict.fromkeys((pipeline, *self._manifest.recent_pipelines)))
         self._record_current(replace(self._manifest, recent_pipelines=recent))
 
     def choose_pipeline(self, name: str | None) -> None:
-        """Choose a pipeline with results as the current one; None selects the latest one from now on.
+        """Choose a pipeline with results as the current one; after None, the latest one is always current.
 
         Raises
         ------
@@ -82,7 +82,7 @@ class RecordChanges(VersionDraft):
     def restore_pipeline(self, name: str, earlier: Manifest) -> None:
         """Restore the results that a pipeline had in an earlier version; other pipelines are unchanged.
 
-        If it had none in that version, its results are removed.
+        If the pipeline had no results in that version, its present results are removed.
 
         Parameters
         ----------

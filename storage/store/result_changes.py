@@ -26,7 +26,7 @@ from kinedex.storage.store.version_changes import VersionDraft
 
 
 class ResultChanges(VersionDraft):
-    """The methods of a version's draft that change results and labels."""
+    """The methods of the draft of a version that change results and labels."""
 
     def put_results(
         self,
@@ -45,7 +45,7 @@ class ResultChanges(VersionDraft):
         tables : pyarrow.Table or iterable of pyarrow.Table or ResultPart
             Columns of `result_schema(kind)`; `run` may be missing. Without rows, the earlier results are only removed.
             Several tables, for example from a generator, are written one by one, so that they need not fit into memory.
-            A part among them is one of the stage's earlier parts, which is kept at this position unchanged
+            An earlier part of the stage among the tables is kept unchanged, at this position
             (`storage.store.reused_results`); such parts must be in their stored order.
         stage : str
             The stage, "<pipeline>/<stage>".
@@ -95,7 +95,7 @@ class ResultChanges(VersionDraft):
         ----------
         labels : pyarrow.Table
             Columns of `labels_schema`; missing values are completed (`storage.snapshot.stored_labels.new_labels`).
-            A row whose id the store has is skipped, so that adding rows twice is harmless.
+            A row whose id is already in the store is skipped, so that adding rows twice is harmless.
 
         Returns
         -------
@@ -107,18 +107,18 @@ class ResultChanges(VersionDraft):
         ParameterError
             A value is not allowed; nothing is changed.
         """
-        self._take_over()
+        self._add_journal()
         store = Snapshot(self.path, self._manifest, self._checked)
         known = store.labels(history=True)
         new = new_labels(labels, known, store.checksums)
         self._add_labels(known, new)
         return new
 
-    def _take_over(self) -> list[Journal]:
+    def _add_journal(self) -> list[Journal]:
         """Add the rows of the journal of labels to the next version, and return the journal files that it includes.
 
-        Rows that the store has already are skipped. If labels cannot be read, the journal is left unchanged, so that
-        commits of other changes do not fail; `repair` fixes it.
+        Rows that are already in the store are skipped. If labels cannot be read, the journal is left unchanged, so that
+        commits of other changes do not fail; `repair` fixes the labels.
         """
         try:
             journals = read_journals(self.path)
@@ -130,7 +130,7 @@ class ResultChanges(VersionDraft):
         return journals
 
     def _add_labels(self, known: pa.Table, new: pa.Table) -> None:
-        """Write new rows of labels as a part, merged with small parts of known rows."""
+        """Write new rows of labels as a part, which also takes in the rows of small earlier parts."""
         if not new.num_rows:
             return
         stay = list(self._manifest.labels)
@@ -168,7 +168,7 @@ def _result_rows(kind: str, table: pa.Table, run: str) -> pa.Table:
 def record_labels(path: str | Path, labels: pa.Table) -> pa.Table:
     """Add labels to a store's journal without the writer's lock; they are on disk when the function returns.
 
-    Readers show them at once, and the next commit of a writer publishes them.
+    Readers see the labels at once, and the next commit of a writer publishes them.
 
     Parameters
     ----------
@@ -176,7 +176,7 @@ def record_labels(path: str | Path, labels: pa.Table) -> pa.Table:
         The store's directory.
     labels : pyarrow.Table
         Columns of `labels_schema`; missing values are completed (`storage.snapshot.stored_labels.new_labels`). A row
-        whose id the store has is skipped.
+        whose id is already in the store is skipped.
 
     Returns
     -------

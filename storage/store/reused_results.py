@@ -1,14 +1,14 @@
 """Reuse parts of results when a stage adds new ones, and put results of takes into the order of the takes.
 
-Results of takes, such as distance curves, grow with an archive. If a run reuses the results of an earlier one for most
-takes, the new version of the store names the old parts again. Only parts with takes that are removed or recomputed are
+Results of takes, such as distance curves, grow with an archive. If a run reuses the results of an earlier run for most
+takes, the new version of the store names the old parts again. Only parts with removed or recomputed takes are
 rewritten, and small parts when there are many (by the tiers of `storage.store.compaction`). A part is full at
 `storage.snapshot.parts.FULL_BYTES`, so that a change of one take rewrites little.
 
-A run that reuses the rows of earlier takes must leave the store as a run over all takes would. So new rows are inserted
-at their position in the order, and parts whose range they do not enter are kept as files. A part next to new rows is
-rewritten with them unless it is full, so that there are never many small parts: a new take costs writing its own rows
-and at most two parts of `storage.snapshot.parts.FULL_BYTES`.
+A run that reuses earlier rows must leave the same rows in the same order as a run over all takes. New rows are
+therefore inserted at their position in the order; parts with no new rows between their first and last take are kept as
+files. A part next to new rows is rewritten together with them unless the part is full, so that there are never many
+small parts. A new take thus costs writing its own rows and at most two parts of `storage.snapshot.parts.FULL_BYTES`.
 """
 
 from __future__ import annotations
@@ -37,9 +37,9 @@ class ReusedParts:
     Attributes
     ----------
     stay : tuple of ResultPart
-        Parts that `StoreWriter.put_results` should keep.
+        Parts that `StoreWriter.put_results` should keep unchanged.
     again : tuple of ResultPart
-        Parts whose valid rows must be written again with the new ones.
+        Parts whose valid rows must be written again, together with new rows.
     """
 
     stay: tuple[ResultPart, ...]
@@ -90,7 +90,7 @@ def reused_parts(
 
 
 def stored_fingerprints(store: Snapshot, kind: str, stage: str, column: str = "take_id") -> dict[int | str, str]:
-    """Return a dict from take or recording to fingerprint in a stage's results; empty if these cannot be read.
+    """Return a dict from take or recording to fingerprint in a stage's results; empty if the results cannot be read.
 
     Parameters
     ----------
@@ -111,7 +111,7 @@ def stored_fingerprints(store: Snapshot, kind: str, stage: str, column: str = "t
             names, prints = (pairs.column(name).to_pylist() for name in columns)
             found |= {name: one for name, one in zip(names, prints, strict=True) if one is not None}
     except StoreError:
-        return {}  # repair removes them, and the stage recomputes all of them
+        return {}  # `kinedex repair` removes these results, and the stage recomputes all of them
     return found
 
 
@@ -124,7 +124,7 @@ def values_in(store: Snapshot, part: ResultPart, column: str) -> set[int | str]:
 
 
 MIN_ROWS = 50_000
-"""The smallest number of rows in a row group: a long take has groups of its own, and short takes share one."""
+"""The smallest number of rows in a row group; a long take fills separate row groups, and short takes share one."""
 
 Pieces = Callable[[pa.Table], Iterable[pa.Table]]
 
@@ -157,9 +157,9 @@ def rows_in_order(
     tables : iterable of pyarrow.Table
         The rows of each take of `fresh`, in the order of `takes`.
     run : str
-        Id of the run, for rewritten rows.
+        Id of the run, which rewritten rows get.
     pieces : callable, optional
-        Divides the rows of one take where a row group may end.
+        Divides the rows of one take into tables; a row group may end after each.
 
     Raises
     ------
@@ -170,7 +170,7 @@ def rows_in_order(
     earlier = RowGroups(store, kind, stage, "take_id") if len(fresh) < len(takes) else None
     places: dict[Hashable, list[ResultPart]] = {}
     for part, values in (
-        _staying(earlier.parts, rank, sorted(rank[one] for one in fresh)) if earlier is not None else ()
+        _kept_parts(earlier.parts, rank, sorted(rank[one] for one in fresh)) if earlier is not None else ()
     ):
         for value in values:
             places.setdefault(value, []).append(part)
@@ -186,7 +186,7 @@ def rows_in_order(
                 yield from pieces(_of_run(earlier.rows(take_id), run))
         next(given, None)  # a generator runs to its end only if it is asked for another item
 
-    yield from _gathered(in_order())
+    yield from _joined_tables(in_order())
 
 
 def _of_run(rows: pa.Table, run: str) -> pa.Table:
@@ -194,8 +194,8 @@ def _of_run(rows: pa.Table, run: str) -> pa.Table:
     return rows.set_column(place, rows.schema.field("run"), pa.repeat(pa.scalar(run), rows.num_rows))
 
 
-def _gathered(pieces: Iterable[pa.Table | ResultPart]) -> Iterator[pa.Table | ResultPart]:
-    """Yield tables joined to at least `MIN_ROWS` rows, and each part once."""
+def _joined_tables(pieces: Iterable[pa.Table | ResultPart]) -> Iterator[pa.Table | ResultPart]:
+    """Join successive tables until they have `MIN_ROWS` rows, and yield them and each part once, in order."""
     waiting: list[pa.Table] = []
     count = 0
     last: ResultPart | None = None
@@ -216,12 +216,13 @@ def _gathered(pieces: Iterable[pa.Table | ResultPart]) -> Iterator[pa.Table | Re
 PartValues = tuple[ResultPart, Sequence[Hashable]]
 
 
-def _staying(parts: Sequence[PartValues], rank: Mapping[Hashable, int], new: Sequence[int]) -> list[PartValues]:
+def _kept_parts(parts: Sequence[PartValues], rank: Mapping[Hashable, int], new: Sequence[int]) -> list[PartValues]:
     """Return the parts that need not be rewritten, each with its takes.
 
-    A part is kept if all its takes are reused, no new rows fall into its range and, unless it is full, none next to it.
-    If a take has rows in several parts, either all of these are kept or all are rewritten. `rank` is the place of each
-    take in the order; `new` the ascending ranks of the takes with new rows.
+    A part is kept if all its takes are reused and no new rows are inserted between them. Unless the part is full, there
+    must also be no new rows next to it. If a take has rows in several parts, either all of these parts are kept or all
+    are rewritten. `rank` is the position of each take in the order, and `new` has the ascending ranks of the takes with
+    new rows.
     """
     ranks = [[rank.get(value, -1) for value in values] for _, values in parts]
     flat = [one for own in ranks for one in own if one >= 0]
@@ -236,7 +237,7 @@ def _staying(parts: Sequence[PartValues], rank: Mapping[Hashable, int], new: Seq
     stays = [min(own) >= 0 and known.isdisjoint(own) and not is_new_between(own[0], own[-1]) for own in ranks]
 
     def is_written_again(at: int, side: int) -> bool:
-        """Return whether a part is rewritten because of what is next to it, before (side −1) or after it (side 1)."""
+        """Return whether a part is rewritten because of new or rewritten rows before (side −1) or after it (side 1)."""
         other = at + side
         there = 0 <= other < len(parts)
         far = ends[other][side < 0] if there else (-1 if side < 0 else len(rank))
@@ -245,7 +246,7 @@ def _staying(parts: Sequence[PartValues], rank: Mapping[Hashable, int], new: Seq
             return far == near or parts[at][0].bytes < FULL_BYTES
         return parts[at][0].bytes < FULL_BYTES and is_new_between(min(far, near), max(far, near))
 
-    for side in (-1, 1):  # a change of one part affects those beside it, in either direction
+    for side in (-1, 1):  # rewriting a part can affect the parts before and after it
         for at in range(len(parts))[::-side]:
             stays[at] = stays[at] and not (is_written_again(at, -1) or is_written_again(at, 1))
     return [one for one, same in zip(parts, stays, strict=True) if same]

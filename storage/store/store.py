@@ -38,14 +38,14 @@ AskedVersion = int | Literal["newest"]
 """The version to open: its number, or "newest" for the newest one even without an index."""
 
 _TRIES = 100
-"""The largest number of attempts to open a version, since one may be removed after it was chosen."""
+"""The largest number of attempts to open a version, since a version may be removed after it was chosen."""
 
 
 def open_store(path: str | Path, files: Iterable[str | Path] = (), at: AskedVersion | None = None) -> Store:
     """Open a version of a store for reading, by default the newest one that has an index.
 
-    The returned store always shows this version, whatever writers do; open it again to see their changes. No file that
-    the version needs is removed before the store is closed or garbage-collected.
+    The returned object always shows this version, whatever writers do; open the store again to see their changes. No
+    file that the version needs is removed before the object is closed or garbage-collected.
 
     Parameters
     ----------
@@ -61,7 +61,7 @@ def open_store(path: str | Path, files: Iterable[str | Path] = (), at: AskedVers
     Raises
     ------
     StoreError
-        There is no store or no such version, it is damaged, or it has another format version.
+        There is no store or no such version, the version is damaged, or its format is not supported.
     """
     if not (at is None or at == "newest" or isinstance(at, int)):
         raise ParameterError("at", 'the number of a version, or "newest"', at)
@@ -84,7 +84,7 @@ def _leased(root: Path, version: int) -> tuple[Manifest, Lease] | None:
 
 
 def _with_index(root: Path, newest: Manifest, lease: Lease) -> tuple[Manifest, Lease] | None:
-    """Lease and read the newest version with an index, or the newest if none has; return None if it was removed."""
+    """Lease and read the newest version with an index, or the newest of all; return None if it was just removed."""
     version, generation = readable_version(root, newest)
     if version == newest.version:
         return newest, lease
@@ -104,8 +104,7 @@ def _require_version(root: Path, found: list[int], at: AskedVersion | None) -> N
 class Store(Snapshot):
     """One version of a store, read-only, with its index and SQL.
 
-    Tables are Arrow tables (`frames`, `result`, `sql`), `takes` is a polars data frame; `sql(…, polars=True)` returns a
-    data frame, too.
+    `frames`, `result` and `sql` return Arrow tables; `takes` and `sql(…, polars=True)` return polars data frames.
 
     Parameters
     ----------
@@ -118,11 +117,11 @@ class Store(Snapshot):
     checked : CheckedFiles, optional
         The files that have been checked already; by default each file is checked before it is first read.
     lease : Lease, optional
-        The lease of the version; by default it is taken here.
+        The lease of the version; by default a new one is taken.
     newest_version : int, optional
-        The newest version when this one was chosen; by default this one.
+        The number of the version that was the newest when this one was opened; by default that of this version.
     pinned : bool, optional
-        True to show the labels of this version; by default the labels are current when they are first read.
+        True to show the labels of this version; by default the newest labels are shown.
 
     Raises
     ------
@@ -164,14 +163,14 @@ class Store(Snapshot):
     def labels(self, *, history: bool = False) -> pa.Table:
         """Return the labels of the store, in the order in which they were made.
 
-        They are those of the newest version and of the journal when they are first read, whichever version of the takes
-        is shown, so that a new label does not disappear while an index is built. A version opened by its number shows
-        its own labels.
+        The labels are read once, from the newest version and the journal, even if an older version of the takes is
+        shown; otherwise a new label would disappear while an index is built. A version that was opened by its number
+        shows only the labels that it had.
 
         Parameters
         ----------
         history : bool, optional
-            Also return rows that others replace or withdraw, and those that withdraw them.
+            Also return rows that were replaced or withdrawn by later rows, and the rows that withdraw others.
 
         Raises
         ------
@@ -225,7 +224,7 @@ class Store(Snapshot):
         return sorted_by(with_columns(found, self.take_rows.schema), "name")
 
     def index_path(self) -> Path:
-        """Return the DuckDB file of the index of exactly these takes.
+        """Return the DuckDB file of the index of the takes of this version.
 
         Raises
         ------
@@ -293,7 +292,7 @@ class Store(Snapshot):
         query : str
             A statement that only reads. It can read the store, and the folders passed to `open_store`.
         params : sequence or dict, optional
-            Values for its `?` (a sequence) or its `$name` (a dict).
+            Values for the placeholders `?` (a sequence) or `$name` (a dict) of the query.
         polars : bool, optional
             Return a polars data frame instead of an Arrow table.
         timeout : float, optional
@@ -315,7 +314,7 @@ class Store(Snapshot):
         timeout: float | None = None,
         max_rows: int | None = None,
     ) -> QueryResult:
-        """Run one SQL query as `sql` does, and return at most `max_rows` rows with the number of all rows.
+        """Run one SQL query as `sql` does; return at most `max_rows` rows, and the number of all rows.
 
         Parameters
         ----------
@@ -383,14 +382,14 @@ class Store(Snapshot):
 
 
 def all_labels(path: Path, manifest: Manifest, checked: CheckedFiles) -> pa.Table:
-    """Return all current rows of labels of a store, those of the journal last.
+    """Return all rows of labels that a store has now; the rows of the journal come last.
 
     Parameters
     ----------
     path : Path
         The store's directory.
     manifest : Manifest
-        A version; labels of newer ones are read as well.
+        A version; the labels of newer versions are read as well.
     checked : CheckedFiles
         The files that have been checked already.
     """
@@ -402,7 +401,7 @@ def all_labels(path: Path, manifest: Manifest, checked: CheckedFiles) -> pa.Tabl
             rows = Snapshot(path, newest, checked).labels(history=True)
         except StoreError:
             if attempt + 1 < _TRIES and versions(path)[-1] != newest.version:
-                continue  # its parts may have been removed with it
+                continue  # the version and its parts may just have been removed
             raise
         require_sound(journals, path)
         return pa.concat_tables([rows, journal_rows(journals, rows.column("id").to_pylist())])
@@ -410,7 +409,7 @@ def all_labels(path: Path, manifest: Manifest, checked: CheckedFiles) -> pa.Tabl
 
 
 def _release(lease: Lease) -> None:
-    """Release a lease, which lives until then as the argument of a finalizer."""
+    """Release a lease; as an argument of this finalizer, the lease is kept alive until then."""
     lease.release()
 
 

@@ -19,7 +19,7 @@ from kinedex.storage.store.version_changes import VersionDraft
 
 
 class TakeChanges(VersionDraft):
-    """The methods of a version's draft that change takes."""
+    """The methods of the draft of a version that change takes."""
 
     def assign_take_ids(self, names: Iterable[str]) -> dict[str, int]:
         """Return an id for each take name: existing takes keep theirs, new ones get the next ids in order of name."""
@@ -31,7 +31,7 @@ class TakeChanges(VersionDraft):
         return {name: self._ids[name] for name in asked}
 
     def add_takes(self, takes: pa.Table, frames: pa.Table | Part | Sequence[Part]) -> None:
-        """Add takes with their frames; a take whose id is in the store already is replaced.
+        """Add takes with their frames; a take whose id is already in the store is replaced.
 
         Parameters
         ----------
@@ -72,8 +72,8 @@ class TakeChanges(VersionDraft):
         takes : pyarrow.Table
             The new rows, with columns as for `add_takes`.
         described : bool
-            True if columns change by which filters select takes, such as the class, so that stages may select other
-            takes. By default only the origin of a take (path and time) changes, on which no stage depends.
+            True if columns change that filters over takes can use, such as the class, so that stages may select other
+            takes. By default only the source of a take (path and time) changes, on which no stage depends.
 
         Raises
         ------
@@ -118,7 +118,7 @@ class TakeChanges(VersionDraft):
         self._live -= gone
 
     def swap_parts(self, kind: Literal["frames", "takes"], old: Sequence[Part], new: Sequence[Part]) -> None:
-        """Replace parts by others with the same live takes in another layout.
+        """Replace parts by other parts that hold the same live takes.
 
         Parameters
         ----------
@@ -260,7 +260,7 @@ class TakeChanges(VersionDraft):
 
 
 def _listed(rows: pa.Table, wider: Mapping[str, str]) -> pa.Table:
-    """Return rows of takes with each text wrapped in a list, in columns that become columns of lists."""
+    """Return rows of takes; in columns that become columns of lists, wrap each text in a list."""
     for name in (name for name, kind in wider.items() if kind == "VARCHAR[]" and name in rows.column_names):
         lists = [None if text is None else [text] for text in rows.column(name).to_pylist()]
         rows = rows.set_column(rows.column_names.index(name), name, pa.array(lists, pa.list_(pa.string())))
@@ -268,7 +268,7 @@ def _listed(rows: pa.Table, wider: Mapping[str, str]) -> pa.Table:
 
 
 def _without(parts: Iterable[Part], take_ids: Iterable[int], rows: Mapping[int, int]) -> tuple[Part, ...]:
-    """Return the parts with additional tombstones, without parts that have no live take left.
+    """Return the parts with tombstones for the given takes, without parts in which no take is live.
 
     `rows` maps each of the takes to the number of its rows.
     """

@@ -1,4 +1,4 @@
-"""Remove takes for a user: plan which takes and files are affected, and which files an ingest skips afterwards."""
+"""Remove takes for a user: plan which takes are removed, and which of their files an ingest skips afterwards."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ class Removal:
     takes : pyarrow.Table
         The rows of the takes to remove.
     files : tuple of (str, str)
-        Source folder and path of files that lose all their takes; an ingest skips them from then on.
+        Source folder and path of each file that loses all its takes; ingests skip these files from then on.
     returning : tuple of str
         Names of takes that the next ingest adds again, because other takes of their file remain.
     tracks : tuple of str
@@ -50,7 +50,7 @@ def planned_removal(store: Store, names: Sequence[str] = (), where: str | None =
     names : sequence of str
         Names of the takes.
     where : str, optional
-        A SQL filter over the columns of takes; with `names`, both must hold.
+        An SQL filter over the columns of takes; if names are given too, the named takes that pass the filter.
 
     Raises
     ------

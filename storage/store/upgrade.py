@@ -1,4 +1,4 @@
-"""Upgrade a store to the current format: one new version with the same takes and results; the old one is kept."""
+"""Upgrade a store to the current format, by a new version with the same takes and results; the old one is kept."""
 
 from __future__ import annotations
 
@@ -53,14 +53,14 @@ _THREADS = min(4, os.cpu_count() or 1)
 
 @dataclass(frozen=True)
 class Upgrade:
-    """The result or plan of an upgrade.
+    """The result of an upgrade, or its plan in a dry run.
 
     Attributes
     ----------
     before : int
         Format of the store.
     version : int
-        Number of the new version; of the newest one in a dry run, or if the store has the current format.
+        Number of the new version; in a dry run, or if the store has the current format, that of the newest version.
     parts : int
         Number of parts that are checked.
     bytes : int
@@ -95,11 +95,11 @@ def upgrade(
 ) -> Upgrade:
     """Convert a store to the current format.
 
-    Every part is compared with its SHA-256 and gets its XXH3; parts of takes whose patterns have named groups are
-    rewritten with these as columns. Takes, their ids, results and records of stages stay valid, so that no stage has to
-    run again. The result becomes visible in one step, as a new version. A killed upgrade continues where it stopped
-    when it is run again. The index is kept, unless its file format has changed: then it is rebuilt before the new
-    version is published.
+    Every part is compared with its SHA-256 checksum, and its XXH3 checksum is recorded. If source patterns have named
+    groups, parts of takes are rewritten with these groups as columns. Takes, their ids, results and records of stages
+    stay valid, so that no stage has to run again. The result becomes visible in one step, as a new version. A killed
+    upgrade continues where it stopped when it is run again. The index is kept, unless its file format has changed; then
+    it is rebuilt before the new version is published.
 
     Parameters
     ----------
@@ -185,7 +185,7 @@ def _summary(
 
 
 def _checked_sums(root: Path, parts: Iterable[AnyPart], progress: Callable[[int], object]) -> dict[str, str]:
-    """Return a dict from path to XXH3 for parts with right size and SHA-256; sums of a killed upgrade are reused."""
+    """Return a dict from path to XXH3 for undamaged parts; checksums that a killed upgrade has computed are reused."""
     known = _known_sums(root)
     found: dict[str, str] = {}
 
@@ -263,7 +263,7 @@ def _group_columns(
 def _upgraded(
     root: Path, manifest: Manifest, sums: dict[str, str], columns: dict[str, TakeColumn], again: tuple[Part, ...]
 ) -> Manifest:
-    """Return the new version after writing the parts of takes that it needs."""
+    """Write the new parts of takes, and return the manifest of the new version."""
     new = {part.path: _with_groups(root, part, columns) for part in again}
     takes = tuple(new.get(part.path, replace(part, xxh3=sums.get(part.path, ""))) for part in manifest.takes)
     results = {
@@ -291,7 +291,7 @@ def _upgraded(
 
 
 def _with_groups(root: Path, part: Part, columns: dict[str, TakeColumn]) -> Part:
-    """Rewrite the live rows of a part, with the named groups as columns."""
+    """Write the live rows of a part as a new part, with the named groups as columns."""
     schema = takes_schema(columns)
     rows = []
     with read_errors(root / part.path):
@@ -305,7 +305,7 @@ def _with_groups(root: Path, part: Part, columns: dict[str, TakeColumn]) -> Part
 def _sources(
     root: Path, takes: Iterable[Part], stages: dict[str, StageRecord], sums: dict[str, str]
 ) -> dict[str, Source]:
-    """Return a dict from source to settings, from the records of the ingesting stages."""
+    """Return a dict from source folder to settings, from the records of stages that ingest."""
     roots: set[str] = set()
     for part in takes:
         if part.path in sums or part.xxh3:

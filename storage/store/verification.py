@@ -91,11 +91,11 @@ class Finding:
 def verify(store: Snapshot, checked: Callable[[], object] = lambda: None) -> list[Finding]:
     """Check everything that a version of a store records about its files.
 
-    It checks every part's size, checksum, row count, schema, takes and order of rows; that the frames of every take are
-    0, 1, …, as many as its row in takes records; that no take is live twice; that pose databases are complete, and that
-    the results of takes made from depth, and limb errors and their runs, are consistent; older manifests; the checksums
-    of reports; leftover files; the history of runs; the index's checksums, counts and bit slices; and quarantined
-    files.
+    For every part, the size, checksum, number of rows, schema, takes and order of rows are checked. The frames of every
+    take must be 0, 1, …, as many as the take's row records, and no take may be live twice. Pose databases must be
+    complete, and the results of takes made from depth, limb errors and their runs must be consistent. Older manifests,
+    the checksums of reports, the history of runs, and the checksums, counts and bit slices of the index are checked as
+    well. Leftover and quarantined files are reported.
 
     Parameters
     ----------
@@ -107,7 +107,8 @@ def verify(store: Snapshot, checked: Callable[[], object] = lambda: None) -> lis
     Returns
     -------
     list of Finding
-        The problems; empty for an undamaged store. `kinedex repair` is the remedy for all but notes on earlier repairs.
+        The problems; empty for an undamaged store. `kinedex repair` is the remedy for all of them except notes on
+        earlier repairs.
     """
     return _Verification(store, checked).findings()
 
@@ -199,7 +200,7 @@ class _Verification:
                     found = self._file("results", result, result_schema(kind)) or self._result_rows(result)
                     sound &= not found
                     yield from found
-        # the rows of tracking, reconstruction and sensors must fit each other
+        # the rows of tracking, reconstruction and sensors must be consistent with each other
         checks = (pose_problems, reconstruction_problems, imu_problems, limb_problems, limb_error_problems)
         for problems in checks if sound else ():
             for file, problem in problems(self.store):
@@ -295,7 +296,7 @@ class _Verification:
                 yield self._found("leftover", name, "is unfinished: a run was killed, or is at work", fault=False)
 
     def _index(self, *, sound: bool) -> Iterator[Finding]:
-        """Check the index; compare its content with the words of the parts only if these are undamaged."""
+        """Check the index; compare its content with the words of the parts only if the parts are undamaged."""
         if not generations(self.store.path):
             return
         generation = current_generation(self.store.path, self.manifest)
@@ -347,7 +348,7 @@ class _Verification:
 
 
 def _file_problem(file: Path, part: AnyPart, schema: pa.Schema) -> str | None:
-    """Return the fault of a part as a file; None if there is none."""
+    """Return the problem of the file of a part; None if there is none."""
     try:
         size = file.stat().st_size
         if size != part.bytes:

@@ -1,4 +1,4 @@
-"""Record the changes of each version of a store in its manifest, list all versions, and hold the draft of the next."""
+"""Record the changes of each version in its manifest, list all versions, and define the draft of the next version."""
 
 from __future__ import annotations
 
@@ -30,8 +30,8 @@ COUNTS = (
 """The facts that are numbers; "takes_restated" counts takes whose row changed but whose frames did not."""
 
 NAMES = ("stages_begun", "stages_done", "results", "columns", "mappings", "current_pipeline")
-"""The facts that are lists: stages whose record was removed or written, kinds of results, declared columns, skeleton
-mappings, and the pipeline that became the current one.
+"""The facts that are lists of names: stages whose record was removed or written, kinds of results, declared columns,
+skeleton mappings, and the pipeline that became the current one.
 """
 
 

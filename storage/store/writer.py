@@ -93,8 +93,8 @@ def remove_leftovers(root: Path, newest: Manifest, since: float = 0.0) -> None:
     newest : Manifest
         The newest version.
     since : float, optional
-        Time when the store was last opened for writing (`last_opened`). Older files are not leftovers, so that older
-        parts need not be looked up in manifests, of which there may be a thousand.
+        Time when the store was last opened for writing (`last_opened`). Older files are not leftovers, and are not
+        looked up in the manifests, of which there may be a thousand.
     """
     candidates = set()
     for folder in (FOLDER, *PART_FOLDERS):
@@ -119,7 +119,7 @@ def remove_leftovers(root: Path, newest: Manifest, since: float = 0.0) -> None:
 
 
 def _remove(path: Path) -> None:
-    """Remove a leftover file; if Windows refuses because it is open, the next writer tries again."""
+    """Remove a leftover file; if Windows refuses because the file is open, the next writer tries again."""
     with suppress(PermissionError if os.name == "nt" else FileNotFoundError):
         path.unlink(missing_ok=True)
 
@@ -157,8 +157,8 @@ class StoreWriter(TakeChanges, ResultChanges, RecordChanges):
         Raises
         ------
         StoreError
-            Another writer holds the lock (the message names its process and host); the directory contains anything
-            else; the store has an older format (`kinedex upgrade`), or another feature set or rate.
+            Another writer holds the lock (the message names its process and host); the directory contains anything but
+            a store; or the store has an older format (`kinedex upgrade`), another feature set or another rate.
         """
         root = Path(path)
         refuse_foreign(root)
@@ -184,7 +184,7 @@ class StoreWriter(TakeChanges, ResultChanges, RecordChanges):
             raise
 
     def commit(self) -> Manifest:
-        """Publish all changes since the last commit as one new version; do nothing without changes.
+        """Publish all changes since the last commit as one new version; without changes, do nothing.
 
         Rows in the journal of labels are published as well.
 
@@ -198,7 +198,7 @@ class StoreWriter(TakeChanges, ResultChanges, RecordChanges):
         StoreError
             The next version exists already, because another writer has bypassed the lock; nothing is published.
         """
-        journals = self._take_over()
+        journals = self._add_journal()
         pending = self._manifest
         if self._takes:
             # a column may have been declared after a row was added
@@ -237,7 +237,7 @@ class StoreWriter(TakeChanges, ResultChanges, RecordChanges):
     def close(self) -> None:
         """Release the lock and discard uncommitted changes.
 
-        If a version was committed, rewrite the database file for other clients, if it exists.
+        If a version was committed, the database file for other clients is rewritten, provided that it exists.
         """
         try:
             if self._committed.version != self._opened and (self.path / DATABASE).is_file():
