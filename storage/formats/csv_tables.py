@@ -1,11 +1,12 @@
-"""Read CSV files as Excel in any language, LibreOffice and scripts save them, and write lines that Excel takes as text.
+"""Read CSV files that Excel (in any language), LibreOffice and scripts save, and write CSV that is safe in Excel.
 
-The separator is a comma, a semicolon or a tab, by the header, or by Excel's "sep=;" in the first line.
-The text is UTF-8, with or without a byte order mark, UTF-16 with one, or Windows-1252, the encoding of Excel's "CSV".
+The separator is a comma, a semicolon or a tab; it is found from the header, or from Excel's "sep=;" in the first line.
+The text is UTF-8 with or without a byte order mark, UTF-16 with one, or Windows-1252, the encoding of Excel's "CSV".
 With a separator other than the comma, the decimal sign can be a comma.
 
-A spreadsheet evaluates a cell that begins with = + - @, a tab or a carriage return, and a take's name can begin so. An
-apostrophe in front makes the cell a text; readers of kinedex remove it again. Numbers stay numbers.
+A spreadsheet evaluates a cell that begins with = + - @, a tab or a carriage return, and the name of a take can begin
+with such a character. An apostrophe before the text prevents this; kinedex removes the apostrophe on reading. Numbers
+are written unchanged.
 """
 
 from __future__ import annotations
@@ -35,12 +36,12 @@ def csv_line(cells: Iterable[object]) -> str:
 
 
 def guarded(text: str) -> str:
-    """Return a text with an apostrophe in front if a spreadsheet would evaluate it."""
+    """Return a text, with an apostrophe before it if a spreadsheet would evaluate the text."""
     return f"'{text}" if _FORMULA.match(text) and not _NUMBER.fullmatch(text) else text
 
 
 def unguarded(cell: str) -> str:
-    """Return the text from which `guarded` made this cell."""
+    """Return the text of a cell without the apostrophe that `guarded` adds."""
     return cell[1:] if cell.startswith("'") and guarded(cell[1:]) == cell else cell
 
 
@@ -52,7 +53,7 @@ _DECIMAL_COMMA = re.compile(r"([+-]?[0-9]*),([0-9]+)")
 
 
 def csv_cells(line: str, separator: str, *, strict: bool = True) -> list[str]:
-    """Return the cells of a line; quotes count only if the line is CSV, and with `strict` only if it is well-formed."""
+    """Return the cells of a line; quotes are interpreted only if the line is CSV (with `strict`, well-formed CSV)."""
     if '"' in line:
         with suppress(csv.Error):
             return next(csv.reader([line], delimiter=separator, strict=strict), [])

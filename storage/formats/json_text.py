@@ -17,15 +17,15 @@ def json_text(document: object) -> str:
 
 
 def setting_text(value: object) -> str:
-    """Return a value as `--set` reads it: a text unchanged, anything else as JSON, which is YAML."""
+    """Return a value in the form that `--set` reads: a text unchanged, and any other value as JSON, which is YAML."""
     return value if isinstance(value, str) else json.dumps(value, ensure_ascii=False)
 
 
 def json_value(value: Any) -> Any:
     """Convert a value to one that JSON can represent.
 
-    ∞ and NaN become null; decimals, which SQL's sums of integers are, become numbers; Arrow tables become lists of
-    rows; paths, dates, times and other values that JSON has no type for become text.
+    ∞ and NaN become null. Decimals, such as SQL's sums of integers, become numbers. Arrow tables become lists of rows.
+    Paths, dates, times and other values for which JSON has no type become text.
     """
     match value:
         case None | bool() | int() | str():

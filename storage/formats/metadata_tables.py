@@ -1,8 +1,8 @@
 """Read tables about takes that users write in CSV or YAML, such as tags and licences, as typed columns.
 
-One column, the key, names takes or their files; every other column holds values. A column is of one type:
-BOOLEAN, BIGINT, DOUBLE, VARCHAR, or VARCHAR[] (lists in YAML; in CSV the columns whose name ends with "[]", and `tags`,
-with |, ; or a comma between the parts of a cell).
+One column, the key, names takes or their files; every other column holds values. The type of a column is BOOLEAN,
+BIGINT, DOUBLE, VARCHAR, or VARCHAR[]. In YAML, a VARCHAR[] is a list. In CSV, the column `tags` and columns whose names
+end with "[]" are VARCHAR[], with |, ; or a comma between the elements in a cell.
 """
 
 from __future__ import annotations
@@ -42,14 +42,14 @@ Value = bool | int | float | str | tuple[str, ...]
 
 @dataclass(frozen=True)
 class Cell:
-    """A value of a table, with its text in the file."""
+    """A value of a table, and its text in the file."""
 
     text: str
     value: Value
 
     @property
     def type(self) -> str:
-        """The type that a column of this value alone would have."""
+        """The type that a column with only this value would have."""
         return _TYPES[type(self.value)]
 
 
@@ -69,7 +69,7 @@ class MetadataRow:
     key : str
         The cell that names takes or files.
     cells : dict of str to Cell
-        Column → value; empty cells are left out.
+        Column → value, for cells that are not empty.
     """
 
     path: str
@@ -166,7 +166,7 @@ def _refuse_many(path: str | Path, count: int) -> None:
 def _refuse_long(path: str | Path, text: str, line: int | None, column: str) -> None:
     if len(text) > MAX_LETTERS:
         raise SourceError(
-            path, f"the cell of '{column}' has {len(text):,} characters; it can have {MAX_LETTERS:,}", line=line
+            path, f"the cell of '{column}' has {len(text):,} characters; the most is {MAX_LETTERS:,}", line=line
         )
 
 
@@ -180,7 +180,7 @@ def read_sidecar(path: str | Path, key: str) -> MetadataRow:
     path : str or Path
         The file.
     key : str
-        The key of the row, which the file does not hold.
+        The key of the row, which is not in the file.
 
     Raises
     ------
@@ -237,14 +237,14 @@ def _cells(name: str, texts: list[str], table: CsvTable) -> Iterator[Cell | None
             yield Cell(text, parts) if parts else None
         return
     points = [table.number(text) for text in texts]
-    # "1.234" beside "12,5" may be a thousand or a fraction
+    # in a column that also has "12,5", "1.234" may be a thousand or a fraction
     mixed = points != texts and any("." in text and _NUMBER.fullmatch(text) for text in texts)
     for text, point in zip(texts, points, strict=True):
         yield Cell(text, text if mixed else _value(point, text)) if text else None
 
 
 def _value(point: str, text: str) -> Value:
-    """Return the value of a text, given also with a decimal point; text like 007 stays text."""
+    """Return the value of a text; `point` is the text with a decimal point. Texts such as 007 stay texts."""
     if text.lower() in _TRUTHS:
         return _TRUTHS[text.lower()]
     if _WHOLE.fullmatch(point):

@@ -1,8 +1,8 @@
 """Parse MVNX files of Xsens MVN: segments and sensors of one or several subjects, frame by frame.
 
-Two readers use this parser: that of motion (positions and orientations of segments) and that of sensor data. A file is
-parsed as a stream, because an hour of recording takes a gigabyte of XML. Entities are refused, and nothing outside of
-the file is read.
+This parser serves the reader of motion (positions and orientations of segments) and the reader of sensor data. A file
+is parsed as a stream, because an hour of recording takes a gigabyte of XML. Files with entities are refused, and
+nothing outside of the file is read.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ BLOCK_BYTES = 1 << 20
 """The number of bytes that are parsed at once."""
 
 LONGEST_TEXT = 1 << 20
-"""The largest number of characters of an element; a frame of 23 segments has some two thousand in its longest."""
+"""The largest number of characters of an element; the longest in a frame of 23 segments has some two thousand."""
 
 MAX_PARTS = 1_000
 """The largest number of segments, points, sensors or joints of a subject; MVN has 23 segments, some hundred points."""
@@ -68,9 +68,9 @@ class Subject:
     frames : int
         The number of frames of type "normal".
     indices : array of int
-        The number that each of these frames has in the file, from 0; consecutive where the file gives none.
+        The number that each of these frames has in the file, from 0; consecutive if the file does not number them.
     fields : dict of str to array
-        The numbers of the wanted fields, frame after frame.
+        The values of the wanted fields, frame after frame.
     """
 
     label: str
@@ -99,7 +99,7 @@ class Subject:
 
 
 def count_elements(path: Path, name: str) -> int:
-    """Count the elements of a name in an XML file by searching its text, without parsing it.
+    """Count the elements with a given name in an XML file by searching its text, without parsing.
 
     Raises
     ------
@@ -128,14 +128,14 @@ def read_mvnx(path: Path, wanted: Collection[str] = (), subject: str | None = No
         The file, of version 3 or 4.
     wanted : collection of str
         Names of fields, keys of `FRAME_NUMBERS`, `SENSOR_NUMBERS` or `JOINT_NUMBERS`. A field that no frame has is
-        empty in the result; one that some frames lack is an error.
+        empty in the result; a field that only some frames have is an error.
     subject : str, optional
-        The name of the only subject whose frames are kept, as `subject_names` gives it; None for all.
+        The name (of `subject_names`) of the only subject whose frames are kept; None for all subjects.
 
     Returns
     -------
     tuple of Subject
-        In the order of the file.
+        The subjects, in the order of the file.
 
     Raises
     ------

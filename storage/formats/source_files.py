@@ -1,4 +1,4 @@
-"""Read bytes and texts of source files, whole or in part; a fault of the disk is a SourceError that names the file."""
+"""Read source files as bytes or text, completely or in part; disk errors become a SourceError that names the file."""
 
 from __future__ import annotations
 
@@ -49,7 +49,7 @@ def source_bytes(path: str | Path, data: bytes | None = None) -> bytes:
     path : str or Path
         The file.
     data : bytes, optional
-        Its bytes, if they have been read already.
+        The bytes of the file, if they have been read already.
 
     Raises
     ------
@@ -65,7 +65,7 @@ def source_bytes(path: str | Path, data: bytes | None = None) -> bytes:
 
 
 def part_of(path: Path, size: int, start: int = 0) -> bytes:
-    """Return at most `size` bytes of a file from a byte on; raise SourceError if it cannot be read."""
+    """Return at most `size` bytes of a file, from byte `start` on; raise SourceError if it cannot be read."""
     with source_errors(path), path.open("rb") as file:
         if start:
             file.seek(start)
@@ -73,7 +73,7 @@ def part_of(path: Path, size: int, start: int = 0) -> bytes:
 
 
 def read_bytes(path: str | Path, kind: str, way_out: str) -> bytes:
-    """Return the bytes of a file that must fit into memory; a larger one is refused before it is read.
+    """Return the bytes of a file that must fit into memory; a file that is too large is not read.
 
     Parameters
     ----------
@@ -82,7 +82,7 @@ def read_bytes(path: str | Path, kind: str, way_out: str) -> bytes:
     kind : str
         The kind of file, in the plural, for messages.
     way_out : str
-        The remedy if it is too large, for messages.
+        The remedy for a file that is too large, for messages.
 
     Raises
     ------
@@ -111,7 +111,7 @@ def utf8_text(path: str | Path, data: bytes, error: type[SourceError | ConfigErr
 
 
 def any_text(data: bytes, encoding: str = "utf-8") -> str:
-    """Decode text that is UTF-8 in some files and in any code page in others, of which Latin-1 decodes every byte."""
+    """Decode text in the given encoding or, if that fails, in Latin-1, which decodes every byte."""
     try:
         return data.decode(encoding)
     except UnicodeDecodeError:
@@ -129,7 +129,7 @@ def text_of(data: bytes) -> str:
 
 
 def as_number(text: str | bytes) -> float | None:
-    """Return the number that a text is, in Python's notation; None if it is none."""
+    """Return the number that a text states in Python's notation; None if the text is not a number."""
     try:
         return float(text)
     except ValueError:
@@ -137,7 +137,7 @@ def as_number(text: str | bytes) -> float | None:
 
 
 def first_bytes(path: Path, size: int) -> bytes:
-    """Return the first bytes of a file, for recognition of its format; none if it cannot be read."""
+    """Return the first bytes of a file, for recognition of its format; empty if it cannot be read."""
     try:
         return part_of(path, size)
     except SourceError:

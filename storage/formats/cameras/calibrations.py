@@ -1,7 +1,7 @@
-"""Read calibrations of cameras: OpenCV, EasyMocap, TOML of AniPose and Pose2Sim, JSON of CMU Panoptic.
+"""Read calibrations of cameras in the formats of OpenCV, EasyMocap, AniPose, Pose2Sim and CMU Panoptic.
 
-In every format, x_camera = R · X + t. Lengths and axes are the file's until `in_metres` converts the world to metres
-with Y up.
+In every format, x_camera = R · X + t. Cameras have the unit and the axes of their file until `in_metres` converts them
+to a world in metres with Y up.
 """
 
 from __future__ import annotations
@@ -29,14 +29,14 @@ from kinedex.storage.formats.cameras.camera_values import (
 from kinedex.storage.formats.source_files import file_size, load_json, read_bytes, utf8_text
 
 PREFIXES = {"K": ("K_",), "dist": ("dist_", "D_"), "R": ("R_", "Rot_"), "T": ("T_",)}
-"""A dict from key of a camera to the prefixes that EasyMocap writes before the camera's name."""
+"""A dict from each key of a camera to the prefixes that EasyMocap writes before the camera's name."""
 
 _FILES = ("intri", "extri")
 _ENDINGS = (".yml", ".yaml")
 
 
 def other_file(path: Path) -> Path | None:
-    """Return the other file of an EasyMocap pair, `extri.yml` for `intri.yml` and vice versa; None for other names."""
+    """Return the other file of an EasyMocap pair: `extri.yml` for `intri.yml`, and vice versa; None for other names."""
     if path.suffix.lower() in _ENDINGS:
         for one, other in (_FILES, _FILES[::-1]):
             if one in path.stem:
@@ -45,14 +45,14 @@ def other_file(path: Path) -> Path | None:
 
 
 def easymocap_calibration(files: Sequence[Located], size: tuple[int, int] | None) -> Calibration:
-    """Return the cameras of files of EasyMocap.
+    """Return the cameras that files of EasyMocap describe.
 
     Parameters
     ----------
     files : sequence of Located
-        The file of intrinsics and that of poses, or one with both.
+        The file of intrinsics and the file of poses, or one file with both.
     size : tuple of (int, int), optional
-        Width and height of the images in pixels, where the files have none.
+        Width and height of the images in pixels, used if the files do not state them.
 
     Raises
     ------
@@ -75,7 +75,7 @@ def easymocap_calibration(files: Sequence[Located], size: tuple[int, int] | None
 
 @dataclass(frozen=True)
 class _Files(Located):
-    """The files of a calibration as one; an error names the file that has the key, and the key as written in it."""
+    """The files of a calibration, read as one; an error names the file with the key, and the key as written there."""
 
     files: tuple[Located, ...] = ()
     keys: Mapping[str, Mapping[str, str]] | None = None
@@ -99,7 +99,7 @@ def _names(files: Sequence[Located], content: Mapping[str, Any]) -> list[str]:
             "expected the lenses of cameras (`K_01`, `dist_01`, …) in intri.yml, beside extri.yml with `R_01` and "
             "`T_01`"
         )
-    if set(order) & set(found):  # unquoted names lose leading zeros in YAML: then the list is ignored
+    if set(order) & set(found):  # unquoted names lose their leading zeros in YAML; the list is ignored if no name fits
         missing = next((name for name in order if name not in found), None)
         if missing is not None:
             at = next(file for file in files if "names" in file.mapping())
@@ -152,9 +152,9 @@ def read_calibration(path: str | Path, size: tuple[int, int] | None = None) -> C
     Parameters
     ----------
     path : str or Path
-        A file ending in .yaml, .yml, .json or .toml; either of the two of EasyMocap, `intri.yml` and `extri.yml`.
+        A file ending in .yaml, .yml, .json or .toml. Of EasyMocap's two files, `intri.yml` and `extri.yml`, either one.
     size : tuple of (int, int), optional
-        Width and height of the images in pixels, for files that have none.
+        Width and height of the images in pixels, for files that do not state them.
 
     Returns
     -------
@@ -179,7 +179,7 @@ def read_calibration(path: str | Path, size: tuple[int, int] | None = None) -> C
         for key, value in content.items()
     ):
         return easymocap_calibration(
-            # the file with the camera matrices first, then that of the cameras' poses
+            # first the file with the camera matrices, then the file with the cameras' poses
             sorted(
                 [located, *map(_load, calibration_files(path)[1:])],
                 key=lambda file: not any(str(key).startswith("K_") for key in file.mapping()),
@@ -208,13 +208,13 @@ def calibration_files(path: Path) -> tuple[Path, ...]:
 
 
 def _load(path: Path) -> Located:
-    """Return the content of a file by its extension."""
+    """Return the content of a file, parsed by the format of its extension."""
     ending = path.suffix.lower()
     if ending not in ENDINGS:
         raise ConfigError(path, f"expected a calibration ending in {', '.join(ENDINGS)}")
     most = _MAX_BYTES.get(ending, _FEWEST_BYTES)
     if file_size(path) > most:
-        raise ConfigError(path, f"has {file_size(path) / 1e6:.1f} MB, and calibrations {most >> 20} MB at most")
+        raise ConfigError(path, f"has {file_size(path) / 1e6:.1f} MB; calibrations have at most {most >> 20} MB")
     if ending == ".json":
         return Located(path, load_json(path))
     return _load_toml(path) if ending == ".toml" else _load_opencv_yaml(path)
@@ -228,9 +228,9 @@ def in_metres(calibration: Calibration, unit: str | None, up: str | None) -> tup
     calibration : Calibration
         The cameras of a file.
     unit : str, optional
-        "m", "cm", "mm" or "in"; None for the unit of the file's kind.
+        "m", "cm", "mm" or "in"; None for the usual unit of files of this kind.
     up : str, optional
-        The axis that points up; None for that of the file's kind.
+        The axis that points up; None for the usual one in files of this kind.
 
     Raises
     ------
@@ -253,7 +253,7 @@ def in_metres(calibration: Calibration, unit: str | None, up: str | None) -> tup
 
 
 def _mappings(content: Mapping[Any, Any]) -> dict[str, Mapping[str, Any]]:
-    """Return the sections that have a camera matrix; others, such as `metadata`, describe no camera."""
+    """Return the sections that have a camera matrix; other sections, such as `metadata`, describe no camera."""
     return {
         str(name): values
         for name, values in content.items()
@@ -317,7 +317,7 @@ def _load_toml(path: Path) -> Located:
 
 
 def _toml_lines(lines: Iterable[str]) -> dict[tuple[str | int, ...], int]:
-    """Return the line numbers of sections and keys in the usual TOML notation; other notations get none."""
+    """Return the line numbers of sections and keys in the usual TOML notation; in other notations they have none."""
     found: dict[tuple[str | int, ...], int] = {}
     section: tuple[str | int, ...] = ()
     for number, line in enumerate(lines, 1):

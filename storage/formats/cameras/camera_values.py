@@ -1,4 +1,4 @@
-"""Check the values of a section of a calibration file and make a camera of them, whatever the format."""
+"""Check the values of a section of a calibration file in any format, and make a camera from them."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ KEYS = {
     "centre": ("centre", "center"),
     "size": ("size", "image_size", "resolution", "imageSize", "img_size"),
 }  # fmt: skip
-"""A dict from attribute of a camera to the keys under which programs write it."""
+"""A dict from each attribute of a camera to the keys under which programs write the attribute."""
 
 _MAX_NUMBERS = 64
 _NO_POINT = re.compile(r"[-+]?[0-9]{1,18}[eE][-+]?[0-9]{1,2}")
@@ -40,20 +40,20 @@ _ROTATION_ERROR = 0.01
 
 @dataclass(frozen=True)
 class Calibration:
-    """The cameras of a file, in its own unit and axes.
+    """The cameras of a calibration file, in the unit and the axes of the file.
 
     Attributes
     ----------
     path : str
         The file.
     kind : str
-        Its kind, for messages.
+        The kind of file, for messages.
     cameras : tuple of Camera
         The cameras, in the order of the file.
     unit : str
-        The unit of its lengths, "m", "cm" or "mm"; empty where the kind does not determine it.
+        The unit of lengths in the file, "m", "cm" or "mm"; empty if the kind of file does not determine it.
     up : str
-        The axis of its world that points up, as "z" or "-y"; empty where the kind does not determine it.
+        The axis of the world that points up, such as "z" or "-y"; empty if the kind of file does not determine it.
     labels : mapping of str to str
         Other names of cameras, such as a `name` inside a section → the camera's name.
     """
@@ -87,12 +87,12 @@ def camera_of(
     values : mapping
         The section.
     size : tuple of (int, int), optional
-        Width and height of the images where the section has none.
+        Width and height of the images, used if the section does not state them.
 
     Raises
     ------
     ConfigError
-        A value is missing or invalid, or the lens is one of another model; the message names the key.
+        A value is missing or invalid, or the lens has an unsupported model; the message names the key.
     """
     _refuse_other_lenses(located, at, values)
     matrix = _read(located, at, values, "matrix", (9,)).reshape(3, 3)
@@ -152,7 +152,7 @@ def _read(
 
 
 def _rotation(located: Located, at: tuple[str | int, ...], values: Mapping[str, Any]) -> F64:
-    """Return the rotation nearest to a 3 × 3 matrix, or that of a Rodrigues vector."""
+    """Return the rotation that is nearest to a 3 × 3 matrix, or the rotation of a Rodrigues vector."""
     numbers = _read(located, at, values, "rotation", (3, 9))
     if len(numbers) == 3:
         if np.abs(numbers).max() > 100:
@@ -170,7 +170,7 @@ def _rotation(located: Located, at: tuple[str | int, ...], values: Mapping[str, 
 
 
 def _distortion(located: Located, at: tuple[str | int, ...], values: Mapping[str, Any]) -> F64:
-    """Return the distortion coefficients without the trailing zeros of longer models."""
+    """Return the distortion coefficients; trailing zeros of longer models are dropped."""
     key = value_of(values, "distortion")
     if not key or values[key] is None:
         return np.zeros(0)
@@ -230,7 +230,7 @@ def _refuse_other_lenses(located: Located, at: tuple[str | int, ...], values: Ma
 
 
 def refuse_names(located: Located, names: list[str]) -> None:
-    """Raise an error unless there are 1 to `MAX_CAMERAS` cameras with printable names that all differ."""
+    """Raise an error unless there are 1 to `MAX_CAMERAS` cameras, with printable names that all differ."""
     if not 1 <= len(names) <= MAX_CAMERAS:
         raise located.error(f"expected 1 to {MAX_CAMERAS} cameras, found {len(names)}")
     seen: set[str] = set()

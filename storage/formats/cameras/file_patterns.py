@@ -1,7 +1,7 @@
 """Find files of cameras by a pattern, in which `{camera}` stands for the part of a name that differs by camera.
 
-`*` stands for any characters of a name and `?` for one; all others match themselves. A relative pattern cannot leave
-the folder of the file that states it.
+In a pattern, `*` stands for any characters of a name and `?` for one character; all other characters match themselves.
+A relative pattern cannot leave the folder of the file that states the pattern.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ class CameraFiles:
     pattern : str
         The pattern.
     files : mapping of str to tuple of Path
-        What `{camera}` stands for → the files, in natural order; "" → the files of a pattern without it.
+        Value of `{camera}` → the files, in natural order; the key is "" for a pattern without `{camera}`.
     """
 
     pattern: str
@@ -59,11 +59,11 @@ def find_files(folder: Path, pattern: str, endings: tuple[str, ...] = (), exclud
     folder : Path
         The folder that a relative pattern starts from.
     pattern : str
-        The pattern; if it names a folder, it matches the files in it with one of `endings`.
+        The pattern; if it names a folder, all files of the folder with one of `endings` match.
     endings : tuple of str, optional
-        Endings of the files of a folder, as ".json".
+        Endings of the files of a folder, such as ".json".
     excluded : Path, optional
-        A file to leave out, although the pattern may match it.
+        A file that is not returned, although the pattern may match it.
 
     Raises
     ------
@@ -104,7 +104,8 @@ def match_cameras(
 ) -> tuple[dict[str, str], str]:
     """Return a dict from camera to the value of `{camera}` in its file names, and a note on how they were matched.
 
-    They are matched by name if any name agrees, else by natural order if their numbers are equal.
+    Cameras and files are matched by name if any name agrees. Otherwise they are matched by natural order, provided that
+    there are as many files as cameras.
 
     Parameters
     ----------
@@ -115,9 +116,9 @@ def match_cameras(
     names : iterable of str
         The cameras of the calibration.
     labels : mapping of str to str
-        Further names of cameras → the names.
+        Further name of a camera → the camera's name in `names`.
     files : iterable of str
-        What `{camera}` stands for.
+        The values of `{camera}` in the file names.
 
     Raises
     ------
@@ -139,8 +140,8 @@ def match_cameras(
         raise SourceError(
             path,
             f"{{camera}} stands for {_some(found)} in the files of the {what}, and the calibration has "
-            f"{_some(cameras)}: no name is in both, and {len(found)} cannot be put beside {len(cameras)}; rename the "
-            "cameras of the calibration as the files have them",
+            f"{_some(cameras)}: no name is in both, and {len(found)} names cannot be matched with {len(cameras)}; give "
+            "the cameras of the calibration the names that the files have",
         )
     pairs = dict(zip(sorted(cameras, key=natural_key), sorted(found, key=natural_key), strict=True))
     listed = ", ".join(f"{camera} = {value}" for camera, value in pairs.items())
@@ -172,7 +173,7 @@ def _inside(place: Path, camera: str | None, endings: tuple[str, ...]) -> Iterab
 
 
 def _names(place: Path) -> list[str]:
-    """Return the names in a folder without hidden ones; none if the path is not a folder."""
+    """Return the names in a folder, except hidden ones; the list is empty if the path is not a folder."""
     try:
         return sorted(name for name in os.listdir(place) if not name.startswith("."))
     except (NotADirectoryError, FileNotFoundError):

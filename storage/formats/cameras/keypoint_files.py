@@ -1,4 +1,4 @@
-"""Read the keypoint files of a recording, in any format, into arrays over time for one person."""
+"""Read the keypoint files of a recording, in any format, and return arrays over time for one person."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ F64 = npt.NDArray[np.float64]
 TABLES = (".csv", ".parquet")
 
 _MAX_NUMBERS = 200_000_000
-_SAMPLE = 2000  # persons by which two keypoint sets are told apart
+_SAMPLE = 2000  # number of persons from which the keypoint set is chosen
 
 
 @dataclass(frozen=True, eq=False)
@@ -38,11 +38,11 @@ class KeypointArrays:
     Attributes
     ----------
     keypoint_set : KeypointSet
-        Their set.
+        The keypoint set, which defines names and positions of keypoints.
     names : tuple of str
         Names of the P keypoints that have a position on the body.
     unused : tuple of str
-        Those that have none, or that no camera has.
+        Names of keypoints that have no position on the body, or that no camera has.
     pixels : float64 array (T, V, P, 2)
         Positions in the images, in pixels; NaN where a keypoint is missing.
     confidence : float64 array (T, V, P)
@@ -54,9 +54,9 @@ class KeypointArrays:
     empty : int
         The number of images without a person.
     without_confidence : int
-        The number of keypoints without a confidence; it is set to 1.
+        The number of keypoints without a confidence; their confidence is set to 1.
     above_one : int
-        The number of keypoints with a confidence above 1; it is set to 1.
+        The number of keypoints with a confidence above 1, which is set to 1.
     """
 
     keypoint_set: KeypointSet
@@ -77,20 +77,20 @@ def read_keypoint_files(files: CameraFiles, recording: str) -> dict[str, SeenPer
     Parameters
     ----------
     files : CameraFiles
-        Files of OpenPose (one a frame), MMPose (one a camera or a frame), COCO results (one a camera), or tables (one a
-        camera, or one for all).
+        Files of OpenPose (one per frame), MMPose (one per camera or frame), COCO results (one per camera), or tables
+        (one per camera, or one for all cameras).
     recording : str
         The recording whose rows of a table are read.
 
     Returns
     -------
     dict of str to SeenPersons
-        Value of `{camera}`, or the camera of a table's rows → its persons.
+        Value of `{camera}`, or the camera that a table names → the persons that this camera saw.
 
     Raises
     ------
     SourceError
-        A file has another form, or there are too many.
+        A file has another form, or there are too many files.
     """
     found: dict[str, SeenPersons] = {}
     for camera, paths in files.files.items():
@@ -98,7 +98,7 @@ def read_keypoint_files(files: CameraFiles, recording: str) -> dict[str, SeenPer
         if ending in TABLES:
             tables = read_keypoint_table(_only(paths, "a table"), recording)
             if files.each_camera and len(tables) > 1 and camera not in tables:
-                raise SourceError(paths[0], f"has rows of {len(tables)} cameras, and is the file of one, '{camera}'")
+                raise SourceError(paths[0], f"has rows of {len(tables)} cameras, but is the file of '{camera}'")
             found |= {camera: tables.get(camera) or next(iter(tables.values()))} if files.each_camera else tables
         elif ending != ".json":
             raise SourceError(paths[0], "expected keypoints ending in .json, .csv or .parquet")
@@ -115,7 +115,7 @@ def read_keypoint_files(files: CameraFiles, recording: str) -> dict[str, SeenPer
 
 def _only(paths: Sequence[Path], what: str) -> Path:
     if len(paths) > 1:
-        raise SourceError(paths[1], f"{what} must be one file for each camera, and {paths[0].name} is one already")
+        raise SourceError(paths[1], f"{what} must be one file for each camera, but there is {paths[0].name} already")
     return paths[0]
 
 
@@ -129,16 +129,16 @@ def keypoint_arrays(
     seen : sequence of SeenPersons or None
         The persons of V cameras; None for a camera without keypoints.
     choice : KeypointSet, optional
-        The keypoint set; by default the names or the number of keypoints decide.
+        The keypoint set; by default it is recognised by the names or the number of keypoints.
     person : str
         "largest", "most_confident", or an id.
     offsets : sequence of int
-        For each camera the difference of frame numbers: frame k of the recording is the camera's frame k + offset.
+        The offset of each camera's frame numbers: frame k of the recording is frame k + offset of the camera.
 
     Raises
     ------
     SourceError, ConfigError
-        The keypoint set does not fit or is not known, nobody is seen, or most frames are missing.
+        The keypoint set is unknown or does not fit the files, no person is seen, or most frames are missing.
     """
     there = [one for one in seen if one is not None and one.keypoints]
     if not there:
@@ -162,7 +162,7 @@ def keypoint_arrays(
     if frames > 10 * most + 1000 or frames * len(seen) * len(names) * 3 > _MAX_NUMBERS:
         raise SourceError(
             there[0].path, f"frames {first} to {first + frames - 1}, of which one camera has {most} at most: too many "
-            "are missing, or too many for one recording; check the numbers in the names, and `offsets:`, or cut it",
+            "are missing, or too many for one recording; check the numbers in the names and `offsets:`, or divide it",
         )  # fmt: skip
     rows = np.full((frames, len(seen), len(names), 3), np.nan)
     rows[..., 2] = 0.0
@@ -200,7 +200,7 @@ def _columns(seen: Sequence[SeenPersons], choice: KeypointSet | None) -> tuple[K
         keypoint_set = choice or load_keypoint_set(NAMED)
         if len(named) < len(seen):
             other = next(one for one in seen if not one.names)
-            raise SourceError(other.path, f"numbers its keypoints, and {named[0].path.name} names them")
+            raise SourceError(other.path, f"numbers its keypoints, but {named[0].path.name} names them")
         columns = tuple(dict.fromkeys(name for one in seen for name in one.names))
         strange = next((name for name in columns if keypoint_set.order and name not in keypoint_set.order), None)
         if strange is not None:
@@ -210,7 +210,7 @@ def _columns(seen: Sequence[SeenPersons], choice: KeypointSet | None) -> tuple[K
     count = max(one.keypoints for one in seen)
     other_count = next((one for one in seen if one.keypoints != count), None)
     if other_count is not None and other_count.path.suffix.lower() not in TABLES:
-        raise SourceError(other_count.path, f"has {other_count.keypoints} keypoints, and other cameras {count}")
+        raise SourceError(other_count.path, f"has {other_count.keypoints} keypoints, but other cameras have {count}")
     if choice is not None:
         table = seen[0].path.suffix.lower() in TABLES  # the last keypoints may be missing in all persons
         if not (len(choice.order) == count or (table and count < len(choice.order))):
@@ -223,7 +223,7 @@ def _columns(seen: Sequence[SeenPersons], choice: KeypointSet | None) -> tuple[K
     if not sets:
         known = ", ".join(f"{count} ({' or '.join(one.name for one in sets)})" for count, sets in known_sets.items())
         raise SourceError(
-            seen[0].path, f"has {count} keypoints of a person, and the number is none of {known}; write "
+            seen[0].path, f"has {count} keypoints of a person, which no set has (they have {known}); write "
             "`keypoint_set:` in the recording, a shipped set or a file of your own",
         )  # fmt: skip
     if len(sets) == 1:

@@ -57,8 +57,8 @@ def read_keypoint_table(path: Path, recording: str = "") -> dict[str, SeenPerson
     Returns
     -------
     dict of str to SeenPersons
-        Camera → its persons; the key is "" for a table without a column `camera`. Keypoints are named, or numbers from
-        0.
+        Camera → the persons that it saw; the key is "" for a table without a column `camera`. Keypoints are given by
+        names or by numbers from 0.
 
     Raises
     ------
@@ -124,7 +124,7 @@ def _persons(
 
 
 def _keypoints(path: Path, table: pl.DataFrame) -> tuple[tuple[str, ...], I64]:
-    """Return the names of the keypoints (none if they are numbers), and the index of each row's keypoint."""
+    """Return the names of the keypoints (none if they are numbered), and the index of the keypoint of each row."""
     texts = table["keypoint"]
     numbers = texts.cast(pl.Int64, strict=False)
     if numbers.null_count() == 0:
@@ -149,7 +149,7 @@ def _error(path: Path, table: pl.DataFrame, row: int, message: str) -> SourceErr
 
 
 def _csv(path: Path) -> pl.DataFrame:
-    """Return a CSV table; a cell that should be a number and is not raises an error with its line."""
+    """Return a CSV table; raise an error with the line of a cell that should be a number but is not."""
     if file_size(path) > _MAX_CSV_BYTES:
         raise SourceError(path, f"has more than {_MAX_CSV_BYTES >> 30} GB; write Parquet, or a file for each camera")
     data = source_bytes(path)
@@ -186,7 +186,7 @@ def _parquet(path: Path) -> pl.DataFrame:
 
 
 def _plain(table: pa.Table) -> pa.Table:
-    """Return columns of numbers and valid texts, without the schema metadata, which polars would trust unchecked."""
+    """Return the columns with numbers or valid texts, without metadata, which polars would trust unchecked."""
     columns = {}
     for name in dict.fromkeys(table.column_names):
         column = table.column(table.column_names.index(name))

@@ -1,4 +1,4 @@
-"""Read silhouettes frame by frame: PNG images, one for each frame and camera, or packed bits in NPZ."""
+"""Read silhouettes frame by frame, from PNG images (one for each frame and camera) or from packed bits in NPZ files."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ U8 = npt.NDArray[np.uint8]
 
 _MODES = ("1", "L", "LA", "RGB", "RGBA")
 _DARK = 1
-"""The largest value of a mask that labels its foreground by a small number instead of 255."""
+"""The largest value in a mask that marks the foreground by a small number instead of 255."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -29,9 +29,9 @@ class CameraMasks:
     Attributes
     ----------
     size : tuple of (int, int)
-        Width and height of the masks in pixels: the camera's, or both divided by the same integer.
+        Width and height of the masks in pixels: those of the camera's images, or both divided by the same integer.
     images : mapping of int to Path
-        The number of a frame → its image; empty for packed bits.
+        Number of a frame → the image of its mask; empty for packed bits.
     bits : uint8 array (T, H, ceil(W / 8)), optional
         Frames of packed bits, the first pixel of a row in the highest bit.
     """
@@ -46,7 +46,7 @@ class CameraMasks:
         return sorted(self.images) if self.bits is None else range(len(self.bits))
 
     def read(self, frame: int) -> U8 | None:
-        """Return the probability of foreground of a frame, 0 to 255; None for a frame without a mask.
+        """Return the mask of a frame as foreground probabilities from 0 to 255; None for a frame without a mask.
 
         Raises
         ------
@@ -64,14 +64,14 @@ class CameraMasks:
 
 @dataclass(frozen=True, eq=False)
 class MaskFrames:
-    """The masks of a recording: frame t is an array (H, W) of uint8 for each camera, or None.
+    """The masks of a recording; for frame t, each camera has an array (H, W) of uint8, or None.
 
     Attributes
     ----------
     cameras : tuple of CameraMasks or None
         The masks of each camera.
     first : tuple of int
-        The number, in each camera's files, of the recording's first frame.
+        The number that the recording's first frame has in the files of each camera.
     frames : int
         The number of frames.
     """
@@ -93,7 +93,7 @@ class MaskFrames:
 
 
 def read_mask(path: Path, size: tuple[int, int]) -> U8:
-    """Return the probability of foreground (H, W), 0 to 255, of an 8-bit PNG image.
+    """Return the mask (H, W) in an 8-bit PNG image, as foreground probabilities from 0 to 255.
 
     Raises
     ------
@@ -112,7 +112,7 @@ def read_mask(path: Path, size: tuple[int, int]) -> U8:
 
 
 def _check_image(path: Path, size: tuple[int, int]) -> None:
-    """Refuse an image of another size or kind by its header, before its pixels take memory."""
+    """Raise an error if the header of an image states another size or kind; its pixels are not decoded."""
     found, mode = _header(path)
     if found != size:
         raise SourceError(path, f"has {found[0]} × {found[1]} pixels, and the first mask of its camera {_times(size)}")
@@ -129,19 +129,19 @@ def _header(path: Path) -> tuple[tuple[int, int], str]:
 
 
 def open_images(files: Sequence[Path], camera: Camera) -> CameraMasks:
-    """Return the masks of a camera in PNG images, after a check of all headers.
+    """Check the headers of PNG images, and return the masks of a camera that they hold.
 
     Parameters
     ----------
     files : sequence of Path
-        An image for each frame, whose number is the last one in its name.
+        An image for each frame; the last number in the name is that of the frame.
     camera : Camera
         The camera.
 
     Raises
     ------
     SourceError
-        An image has another size or kind, or two have one number.
+        An image has another size or kind, or two images have the same number.
     """
     images: dict[int, Path] = {}
     size = _header(files[0])[0]
@@ -156,7 +156,7 @@ def open_images(files: Sequence[Path], camera: Camera) -> CameraMasks:
 
 
 def open_bits(path: Path, array: str, camera: Camera) -> CameraMasks:
-    """Return the masks of a camera as packed bits of an NPZ file, frame 0 first.
+    """Return the masks of a camera from the packed bits of an NPZ file, which begin with frame 0.
 
     Parameters
     ----------

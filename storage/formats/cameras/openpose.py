@@ -1,4 +1,4 @@
-"""Read keypoints of persons in images from JSON: of OpenPose, of MMPose, and of COCO results."""
+"""Read keypoints of persons in images from JSON files of OpenPose, of MMPose and of COCO results."""
 
 from __future__ import annotations
 
@@ -28,7 +28,8 @@ def read_openpose(files: Sequence[Path]) -> SeenPersons:
     Parameters
     ----------
     files : sequence of Path
-        A file for each frame, whose number is the last one in its name, as cam01_000000000012_keypoints.json.
+        A file for each frame; the last number in the name is that of the frame, as in
+        cam01_000000000012_keypoints.json.
 
     Raises
     ------
@@ -42,13 +43,13 @@ def read_openpose(files: Sequence[Path]) -> SeenPersons:
         number = frame_number(path)
         if number in by_number:
             raise SourceError(
-                path, f"has the frame number {number}, as {by_number[number].name} has: one camera a folder"
+                path, f"has the frame number {number}, as {by_number[number].name} has; put one camera in a folder"
             )
         by_number[number] = path
         persons = read_frame(path)
         for person in persons:
             if keypoints not in (0, len(person.points)):
-                raise SourceError(path, f"has {len(person.points)} keypoints, and the files before it {keypoints}")
+                raise SourceError(path, f"has {len(person.points)} keypoints, but earlier files have {keypoints}")
             keypoints = len(person.points)
         seen.frames[number] = persons
     return seen
@@ -77,7 +78,7 @@ def read_frame(path: Path) -> list[Person]:
         The file is not of OpenPose; the message names the person.
     """
     if file_size(path) > _MAX_BYTES:
-        raise SourceError(path, f"has more than {_MAX_BYTES >> 20} MB, which is no file of one frame")
+        raise SourceError(path, f"has more than {_MAX_BYTES >> 20} MB, too much for a file of one frame")
     content = load_json(path)
     people = content.get(PEOPLE) if isinstance(content, Mapping) else None
     if not isinstance(people, list):
@@ -94,7 +95,7 @@ def read_frame(path: Path) -> list[Person]:
 
 
 def _person(path: Path, where: str, content: Any) -> Person | None:
-    """Return a person; None for one without body keypoints, such as a lone hand."""
+    """Return a person; None for a person without body keypoints, such as a lone hand."""
     if not isinstance(content, Mapping) or POINTS not in content:
         raise SourceError(path, f"{where}: expected an object with `{POINTS}`")
     if content[POINTS] in ([], None):
@@ -104,7 +105,7 @@ def _person(path: Path, where: str, content: Any) -> Person | None:
 
 
 def keypoint_rows(path: Path, where: str, values: Any) -> np.ndarray[Any, np.dtype[np.float64]]:
-    """Return keypoints (P, 3) of a flat list of x, y, confidence; null is missing.
+    """Return the keypoints (P, 3) in a flat list of x, y, confidence; null stands for a missing value.
 
     Raises
     ------
@@ -123,7 +124,7 @@ def keypoint_rows(path: Path, where: str, values: Any) -> np.ndarray[Any, np.dty
 
 
 def person_id(content: Mapping[str, Any], keys: Sequence[str] = IDS) -> str:
-    """Return the id of a person; empty if it is not tracked, for which OpenPose writes [-1]."""
+    """Return the id of a person; empty for a person who is not tracked, for whom OpenPose writes [-1]."""
     value = next((content[key] for key in keys if key in content), None)
     value = value[0] if isinstance(value, list) and value else value
     if isinstance(value, float):
@@ -134,7 +135,7 @@ def person_id(content: Mapping[str, Any], keys: Sequence[str] = IDS) -> str:
 INSTANCES, MMPOSE_POINTS, SCORES = "instances", "keypoints", "keypoint_scores"
 
 OTHER_NAMES = {"head": "head_top", "hip": "mid_hip"}
-"""A dict from name of a keypoint in MMPose to its name in the keypoint sets."""
+"""A dict from the name of a keypoint in MMPose to its name in the keypoint sets."""
 
 _OWN = re.compile(r'"(instance_info|instances|keypoint_scores|frame_id)"|"keypoints"\s*:\s*\[\s*\[')
 _MMPOSE_IDS = ("track_id", "person_id", "instance_id")
@@ -142,7 +143,7 @@ _MAX_FRAMES = 2_000_000
 
 
 def are_mmpose(files: Sequence[Path]) -> bool:
-    """Return whether a camera's files are those of MMPose; an empty list, an image without persons, does not decide."""
+    """Return whether the files of a camera are from MMPose; files with an empty list of persons are not considered."""
     for path in files:
         text = beginning(path).strip()
         if re.fullmatch(r"\[\s*\]", text) is None:
@@ -156,13 +157,13 @@ def read_mmpose(files: Sequence[Path]) -> SeenPersons:
     Parameters
     ----------
     files : sequence of Path
-        A file of a video, whose frames have numbers, or a file for each image, whose number is the last in its name.
+        One file for a video, whose frames are numbered, or a file for each image, with its number last in the name.
 
     Raises
     ------
     SourceError
-        A file is not of MMPose, two have the same number, or the number of keypoints changes; the message names the
-        place.
+        A file is not of MMPose, two frames have the same number, or the number of keypoints changes; the message names
+        the place.
     """
     seen = SeenPersons(files[0])
     for path in files:
@@ -194,7 +195,7 @@ def read_mmpose(files: Sequence[Path]) -> SeenPersons:
 
 
 def _add_frames(seen: SeenPersons, path: Path, entries: list[Any]) -> None:
-    """Add the frames of a video; an entry without a number follows the frame before it."""
+    """Add the frames of a video; an entry without a number is the frame after the previous entry."""
     number = -1
     for place, entry in enumerate(entries):
         where = f"frame {place}"
@@ -210,14 +211,14 @@ def _add_frames(seen: SeenPersons, path: Path, entries: list[Any]) -> None:
 def _add(seen: SeenPersons, path: Path, where: str, number: int, persons: Sequence[Any]) -> None:
     """Add the persons of a frame to the result."""
     if number in seen.frames:
-        raise SourceError(path, f"{where}: a second frame has the number {number}; one camera a folder, or a file")
+        raise SourceError(path, f"{where}: a second frame has the number {number}; use one folder or file per camera")
     refuse_crowds(path, where, persons)
     found = [_mmpose_person(path, f"{where}, instance {place}", one) for place, one in enumerate(persons)]
     seen.frames[number] = [one for one in found if one is not None]
 
 
 def _mmpose_person(path: Path, where: str, content: Any) -> Person | None:
-    """Return a person; None for one without any keypoint."""
+    """Return a person; None for a person without any keypoint."""
     points = content.get(MMPOSE_POINTS) if isinstance(content, Mapping) else None
     if not isinstance(points, list) or not 1 <= len(points) <= MAX_KEYPOINTS:
         raise SourceError(path, f"{where}: expected an object with `{MMPOSE_POINTS}`, a list of [x, y], and `{SCORES}`")
@@ -241,7 +242,7 @@ def _mmpose_person(path: Path, where: str, content: Any) -> Person | None:
 
 
 def _mmpose_names(header: Any) -> tuple[str, ...]:
-    """Return the names of the keypoints in their order, from the description of the model; empty where it has none."""
+    """Return the names of the keypoints, in order, from the description of the model; empty if it has no names."""
     named = header.get("keypoint_id2name") if isinstance(header, Mapping) else None
     if not isinstance(named, Mapping):
         return ()
@@ -251,15 +252,15 @@ def _mmpose_names(header: Any) -> tuple[str, ...]:
     return tuple(OTHER_NAMES.get(str(name), str(name))[:200] for name in names)
 
 
-_COCO_IDS = ("person_id", "track_id", "instance_id", "idx")  # `id` numbers the entries, it tracks no person
+_COCO_IDS = ("person_id", "track_id", "instance_id", "idx")  # not `id`, which numbers the entries
 _MAX_ENTRIES = 2_000_000
 
 
 def read_coco_results(path: Path) -> SeenPersons:
     """Read the persons that a camera saw, from COCO results.
 
-    The frame is `image_id`, a number or the name of an image with one. Visibilities 0, 1 and 2 become confidences 0, 1
-    and 1.
+    `image_id` gives the frame, as a number or as the name of an image that contains a number. Visibilities 0, 1 and 2
+    become confidences 0, 1 and 1.
 
     Raises
     ------

@@ -1,4 +1,4 @@
-"""Hold the persons that a detector found in a camera's frames, and choose the one who is tracked."""
+"""Hold the persons that a detector found in the frames of a camera, and choose the person who is tracked."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ MAX_PERSONS = 1000
 """The largest number of persons in a frame."""
 
 FARTHEST_PX = 1e6
-"""The largest magnitude of a keypoint's coordinate in pixels."""
+"""The largest absolute value of a keypoint's coordinate, in pixels."""
 
 OUT_OF_BOUNDS = f"expected pixels within {FARTHEST_PX:g} and a confidence, got a number beyond"
 
@@ -31,9 +31,9 @@ class Person:
     Attributes
     ----------
     called : str
-        The id by which the detector tracks the person; empty if it has none.
+        The id by which the detector tracks the person; empty if the person has none.
     points : float64 array (P, 3)
-        x and y in pixels and the confidence; NaN for what is missing.
+        x and y in pixels and the confidence of each keypoint; NaN for missing values.
     """
 
     called: str
@@ -47,9 +47,9 @@ class SeenPersons:
     Attributes
     ----------
     path : Path
-        The file, or the first of them, for messages.
+        The file, or the first of several, for messages.
     frames : dict of int to list of Person
-        The number of a frame → its persons; frames without persons may be absent.
+        Number of a frame → the persons in it; frames without persons may be absent.
     names : tuple of str
         Names of the keypoints; empty if the file has none.
     """
@@ -60,7 +60,7 @@ class SeenPersons:
 
     @property
     def keypoints(self) -> int:
-        """The number of keypoints of a person; 0 without any person."""
+        """The number of keypoints of each person; 0 if there are no persons."""
         return next((len(person.points) for persons in self.frames.values() for person in persons), 0)
 
     def crowded(self) -> int:
@@ -69,23 +69,23 @@ class SeenPersons:
 
 
 def checked_points(path: Path, where: str, rows: F64, line: int | None = None) -> F64:
-    """Check keypoints and return them as x, y, confidence; one at (0, 0) without confidence counts as missing.
+    """Check keypoints and return them as x, y, confidence; a keypoint at (0, 0) without confidence becomes missing.
 
     Parameters
     ----------
     path : Path
         The file, for errors.
     where : str
-        The place in it, for errors.
+        The place in the file, for errors.
     rows : float64 array (P, 3)
-        x, y and confidence as the file has them.
+        x, y and confidence in the file.
     line : int, optional
         The line of the file.
 
     Raises
     ------
     SourceError
-        A coordinate is larger than any image's.
+        A coordinate is larger than that of any image.
     """
     if (np.abs(rows) > FARTHEST_PX).any():
         raise SourceError(path, f"{where}: {OUT_OF_BOUNDS}", line=line)
@@ -97,7 +97,7 @@ def checked_points(path: Path, where: str, rows: F64, line: int | None = None) -
 
 
 def chosen_persons(seen: SeenPersons, choice: str) -> dict[int, F64]:
-    """Return the keypoints (P, 3) of the person who is tracked, for each frame with one.
+    """Return the keypoints (P, 3) of the person who is tracked, for each frame that shows the person.
 
     Parameters
     ----------

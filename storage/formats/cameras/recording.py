@@ -1,4 +1,4 @@
-"""Read a recording by calibrated cameras: check its files together, and make arrays of them."""
+"""Read a recording by calibrated cameras: check its files against each other, and convert them to arrays."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ from kinedex.storage.formats.cameras.recording_checks import check_cameras, chec
 F64 = npt.NDArray[np.float64]
 
 _ENDINGS = {"cameras": ENDINGS, "keypoints": (".json",), "silhouettes": (".png",)}
-"""A dict from key of a recording to the extensions of the files that are read if the key names a folder."""
+"""A dict from each key of a recording to the extensions of the files that are read if the key names a folder."""
 
 _MAX_LISTED, _MAX_IDS = 26, 8  # most keypoints, and ids of persons, listed in a note
 
@@ -81,11 +81,11 @@ class Recording:
     masks : MaskFrames or None
         Silhouettes, read frame by frame.
     cuts : tuple of int
-        Frames, counted from 0, that do not continue the frame before.
+        Frames, counted from 0, at which a new shot begins, so that they do not continue the previous frame.
     counts : RecordingCounts
         Counts of irregularities.
     notes : tuple of str
-        Sentences for the user: how names were matched, what is unused, what looks wrong.
+        Sentences for the user about the matching of names, unused keypoints and values that look wrong.
     """
 
     name: str
@@ -125,7 +125,7 @@ def read_recording(file: RecordingsFile, name: str) -> Recording:
     file : RecordingsFile
         The file of recordings, see `kinedex.catalog.camera_recordings.load_recordings`.
     name : str
-        The name of one of them, with cameras.
+        The name of a recording in the file; it must have cameras.
 
     Raises
     ------
@@ -171,7 +171,7 @@ def read_recording(file: RecordingsFile, name: str) -> Recording:
 
 @dataclass(frozen=True, eq=False)
 class _Entry:
-    """A recording's entry in its file, with its cameras; `labels` grows as files are matched to cameras."""
+    """The entry of a recording in its file, and its cameras; matching files to cameras adds names to `labels`."""
 
     file: RecordingsFile
     name: str
@@ -183,7 +183,7 @@ class _Entry:
 
     @classmethod
     def of(cls, file: RecordingsFile, name: str) -> _Entry:
-        """Return an entry after reading its calibration."""
+        """Return the entry of a recording after reading its calibration."""
         given = file.entry(name)
         if given.cameras is None or given.rate_hz is None:
             raise file.error(name, "track", "is a 3D track of the store, which has no cameras to be read")
@@ -254,12 +254,12 @@ def recording_files(file: RecordingsFile, name: str, key: str) -> CameraFiles:
     name : str
         The recording.
     key : str
-        cameras, keypoints or silhouettes; the recording has it.
+        A key that the recording has: "cameras", "keypoints" or "silhouettes".
 
     Raises
     ------
     ConfigError
-        The key names no file, or a calibration several; the message names the key and its line.
+        The key names no file, or several files for one calibration; the message names the key and its line.
     """
     pattern = str(getattr(file.entry(name), key))
     try:
@@ -277,14 +277,14 @@ def recording_files(file: RecordingsFile, name: str, key: str) -> CameraFiles:
 
 
 def _calibration(file: RecordingsFile, name: str, given: CameraRecording) -> Calibration:
-    """Return the calibration: one file for all cameras, or one for each, named by the value of `{camera}`."""
+    """Return the calibration, from one file for all cameras or from one for each, named by the value of `{camera}`."""
     files = recording_files(file, name, "cameras")
     if not files.each_camera:
         return read_calibration(files.files[""][0], given.size)
     read = {camera: read_calibration(paths[0], given.size) for camera, paths in files.files.items()}
     several = next((one for one in read.values() if len(one.cameras) != 1), None)
     if several is not None:
-        raise file.error(name, "cameras", f"{several.path} has {len(several.cameras)} cameras, and must have one")
+        raise file.error(name, "cameras", f"{several.path} has {len(several.cameras)} cameras, but must have one")
     first = next(iter(read.values()))
     cameras = tuple(replace(found.cameras[0], name=camera) for camera, found in read.items())
     return Calibration(first.path, first.kind, cameras, first.unit, first.up)
@@ -303,7 +303,7 @@ def _keypoint_set(file: RecordingsFile, name: str) -> KeypointSet | None:
 
 
 def _mask_arrays(files: CameraFiles) -> dict[str, tuple[Path, str]]:
-    """Return a dict from the name of a camera's masks to NPZ file and array; files hold one camera or all of them."""
+    """Return a dict from the name of a camera's masks to NPZ file and array; a file holds one camera or all cameras."""
     arrays: dict[str, tuple[Path, str]] = {}
     for value, paths in files.files.items():
         names = mask_arrays(paths[0])
@@ -322,7 +322,7 @@ def _set_notes(keypoints: KeypointArrays) -> list[str]:
 
 
 def _person_notes(seen: Iterable[SeenPersons], choice: str, counts: RecordingCounts) -> list[str]:
-    """Return notes on the rule by which a person is chosen in images with several, and on the alternatives."""
+    """Return notes on how the person is chosen in images with several persons, and on other possible choices."""
     images = counts.images_with_several_persons
     if not images:
         return []
@@ -348,7 +348,7 @@ def _extent(
     masks: Sequence[CameraMasks | None],
     offsets: Sequence[int],
 ) -> tuple[int, int]:
-    """Return the number of the first frame in keypoints or masks, and the number of frames."""
+    """Return the number of the first frame that has keypoints or masks, and the number of frames."""
     ends = [] if keypoints is None else [keypoints.first_frame, keypoints.first_frame + len(keypoints.pixels) - 1]
     present = 0
     for one, offset in zip(masks, offsets, strict=True):
@@ -363,7 +363,7 @@ def _extent(
 
 
 def _over(keypoints: KeypointArrays | None, cameras: int, first: int, frames: int) -> tuple[F64, F64]:
-    """Return pixels and confidences over all frames of the recording; of 0 keypoints if it has only masks."""
+    """Return pixels and confidences for all frames of the recording; for 0 keypoints if it has only masks."""
     count = 0 if keypoints is None else len(keypoints.names)
     pixels = np.full((frames, cameras, count, 2), np.nan)
     confidence = np.zeros((frames, cameras, count))

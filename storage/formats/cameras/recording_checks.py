@@ -1,4 +1,4 @@
-"""Check a recording as a whole, and refuse what no tracker can use, with a guess at the cause."""
+"""Check a recording as a whole, and raise an error that suggests the cause if tracking cannot succeed."""
 
 from __future__ import annotations
 
@@ -29,14 +29,14 @@ LIMBS = {
 """A dict from limb to the two joints at its ends."""
 
 LONGEST_LIMB_M, MAX_UNLIKE = 0.75, 1.5
-"""The longest plausible limb in metres, and the left-to-right length ratio that suggests a misnamed keypoint."""
+"""The longest plausible limb in metres, and the ratio of left to right length that suggests a misnamed keypoint."""
 
 BAD_CAMERA = 3.0
-"""The ratio of a camera's residual to that of the others, from which the camera is reported."""
+"""The ratio of a camera's residual to that of the other cameras from which on the camera is reported."""
 
 _APART_M = 0.01
-_FAR = 0.1  # share of the image's width and height, beyond its border
-_MAX_FAR = 0.1  # largest share of a camera's keypoints that may be so far outside
+_FAR = 0.1  # how far beyond the border of an image is far outside, as a share of its width and height
+_MAX_FAR = 0.1  # largest share of a camera's keypoints that may be far outside
 _SAMPLE = 200  # frames that are checked
 _MIN_POINTS = 20
 
@@ -65,7 +65,7 @@ def check_cameras(file: RecordingsFile, name: str, cameras: Sequence[Camera], no
 def check_keypoints(
     file: RecordingsFile, name: str, cameras: Sequence[Camera], keypoints: KeypointArrays, unit: str
 ) -> tuple[int, list[str]]:
-    """Check keypoints against the cameras, and return the number outside the images, and notes.
+    """Check keypoints against the cameras, and return the number of keypoints outside the images, and notes.
 
     Parameters
     ----------
@@ -76,14 +76,14 @@ def check_keypoints(
     cameras : sequence of Camera
         V cameras.
     keypoints : KeypointArrays
-        Their keypoints.
+        The keypoints that the cameras saw.
     unit : str
-        The unit that the calibration was read in.
+        The unit in which the calibration was read.
 
     Raises
     ------
     ConfigError
-        Keypoints lie far outside the images, no frame is seen by two cameras, the rays meet behind a camera, or the
+        Keypoints are far outside the images, no frame is seen by two cameras, the rays meet behind a camera, or the
         body has an impossible size.
     """
     seen = keypoints.confidence >= MIN_CONFIDENCE
@@ -115,7 +115,7 @@ def check_keypoints(
 
 
 def _refuse_far(file: RecordingsFile, name: str, camera: Camera, pixels: F64) -> int:
-    """Count the keypoints outside an image; raise an error if many of a camera lie far outside."""
+    """Count the keypoints outside the image of a camera; raise an error if many of them are far outside."""
     if not len(pixels):
         return 0
     size = np.array(camera.size)
@@ -180,7 +180,7 @@ def _refuse_size(file: RecordingsFile, name: str, joints: dict[str, F64], used: 
 
 
 def _limb_notes(keypoints: KeypointArrays, joints: dict[str, F64]) -> list[str]:
-    """Return notes on limbs of implausible length, which keypoints in a wrong order cause."""
+    """Return notes on limbs of implausible length, which suggest that the keypoints are in a wrong order."""
     wrong = []
     for limb, (start, end) in LIMBS.items():
         ends = [(f"{side}{start}", f"{side}{end}") for side in "lr"]
@@ -198,7 +198,7 @@ def _limb_notes(keypoints: KeypointArrays, joints: dict[str, F64]) -> list[str]:
 
 
 def _residual_notes(cameras: Sequence[Camera], pixels: F64, weights: F64, points: F64) -> list[str]:
-    """Return a note on each camera with a far larger residual than the others', as after a bad calibration."""
+    """Return a note on each camera whose residual is far larger than that of the others, as after a bad calibration."""
     medians = []
     for v, camera in enumerate(cameras):
         errors = np.linalg.norm(camera.project(points)[0] - pixels[:, v], axis=-1)[weights[:, v] > 0]

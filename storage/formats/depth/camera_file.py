@@ -1,4 +1,4 @@
-"""Read the file of a depth camera: YAML of kinedex, JSON of RealSense, Open3D or Azure Kinect, or text of TUM RGB-D."""
+"""Read the file of a depth camera, from kinedex, RealSense, Open3D, Azure Kinect or TUM RGB-D."""
 
 from __future__ import annotations
 
@@ -20,13 +20,13 @@ from kinedex.storage.formats.source_files import load_json, read_bytes, utf8_tex
 F64 = npt.NDArray[np.float64]
 
 MILLIMETRE_M = 0.001
-"""Metres per unit if a file states none; the person's distance reveals a wrong unit."""
+"""The metres per unit that are assumed if a file states none; the person's distance reveals a wrong unit."""
 
 _AZURE_MODES = {
     (320, 288): (512, 96, 90), (640, 576): (1024, 192, 180), (512, 512): (512, 0, 0), (1024, 1024): (1024, 0, 0),
 }  # fmt: skip
-"""A dict from size of the depth images of Azure Kinect to side of the sensor's image, and the pixels cut off at the
-left and top.
+"""A dict from the size of Azure Kinect's depth images to the side of the sensor's square image and the numbers of
+pixels that are cut off at its left and top.
 """
 
 _UNIT_KEYS = ("depth_unit_m", "depth_scale", "depth_units")
@@ -41,12 +41,12 @@ def vendor_camera(located: Located, size: tuple[int, int] | None) -> DepthCamera
     located : Located
         The content of the file.
     size : tuple of (int, int), optional
-        Width and height of the images in pixels, where the file does not state them.
+        Width and height of the images in pixels, used if the file does not state them.
 
     Raises
     ------
     ConfigError
-        The file has no intrinsics, or those of a lens model that is not supported; the message names the key.
+        The file has no intrinsics, or its lens model is not supported; the message names the key.
     """
     content = located.mapping()
     if "CalibrationInformation" in content:
@@ -67,7 +67,7 @@ def vendor_camera(located: Located, size: tuple[int, int] | None) -> DepthCamera
 
 
 def _matrix(located: Located, at: tuple[str, ...], content: Mapping[str, Any]) -> F64:
-    """Return the camera matrix, of `fx fy ppx ppy`, `fx fy cx cy`, or Open3D's `intrinsic_matrix` by columns."""
+    """Return the camera matrix, from `fx fy ppx ppy`, `fx fy cx cy`, or Open3D's `intrinsic_matrix` by columns."""
     for key in ("intrinsic_matrix", "camera_matrix", "K"):
         if key in content:
             numbers = numbers_of(content[key])
@@ -88,7 +88,7 @@ def _matrix(located: Located, at: tuple[str, ...], content: Mapping[str, Any]) -
 
 
 def _distortion(located: Located, at: tuple[str, ...], content: Mapping[str, Any]) -> F64:
-    """Return distortion coefficients in OpenCV's order; another model is refused unless its coefficients are 0."""
+    """Return distortion coefficients in OpenCV's order; coefficients of other models must be 0."""
     key = next(
         (key for key in ("coeffs", "distortion", "distortion_coefficients", "dist_coeffs") if key in content), ""
     )
@@ -109,7 +109,7 @@ def _distortion(located: Located, at: tuple[str, ...], content: Mapping[str, Any
 
 
 def _unit_m(located: Located, at: tuple[str, ...], content: Mapping[str, Any]) -> float:
-    """Return metres per unit: RealSense writes that (0.001), Open3D the number of units in a metre (1000)."""
+    """Return metres per unit; RealSense writes this number (0.001), and Open3D the units per metre (1000)."""
     key = next((key for key in _UNIT_KEYS if content.get(key) is not None), "")
     if not key:
         return MILLIMETRE_M
@@ -134,8 +134,8 @@ def _size(located: Located, at: tuple[str, ...], content: Mapping[str, Any]) -> 
 def _azure_camera(located: Located, size: tuple[int, int] | None) -> DepthCamera:
     """Return the depth camera from the calibration stored in an Azure Kinect, for images of a given size.
 
-    Its numbers refer to the whole square sensor, as fractions of its side, with pixel corners at integers; each mode
-    crops its images from it.
+    The calibration refers to the whole square sensor: lengths are fractions of its side, and pixel corners are at
+    integers. The images of each mode are a part of the sensor's image.
     """
     at: tuple[str | int, ...] = ("CalibrationInformation", "Cameras")
     information = located.mapping()["CalibrationInformation"]
@@ -173,7 +173,7 @@ def _checked(
     unit_m: float,
     rate_hz: float | None,
 ) -> DepthCamera:
-    """Build the camera from checked values; errors name the section."""
+    """Check values and build the camera from them; errors name the section of the file."""
     try:
         return DepthCamera(matrix, distortion, size, unit_m, rate_hz)
     except ParameterError as fault:
@@ -207,7 +207,7 @@ class CameraPose(BaseModel):
     rotation : list of 3 lists of 3 floats
         The rotation matrix from world axes to camera axes.
     place : list of 3 floats
-        Its centre in the world in metres.
+        The position of the camera's centre in the world, in metres.
     """
 
     model_config = ConfigDict(extra="forbid")
@@ -221,7 +221,7 @@ class CameraValues(BaseModel):
     Attributes
     ----------
     width, height : int
-        The size of its images in pixels.
+        The size of the images in pixels.
     fx, fy, cx, cy : float
         Focal lengths and principal point in pixels; the centre of the first pixel is (0, 0).
     depth_unit_m : float
@@ -233,7 +233,7 @@ class CameraValues(BaseModel):
     range : bool
         True if images hold distances along the ray instead of depths z.
     pose : CameraPose, optional
-        Its place in the world.
+        The pose of the camera in the world.
     up : list of 3 floats, optional
         A vector that points upwards, in the camera's axes (x right, y down, z forward).
     """
@@ -310,7 +310,7 @@ def parse_camera(located: Located) -> DepthCamera:
 
 
 def write_camera(path: str | Path, camera: DepthCamera) -> None:
-    """Write a camera as YAML, whole or not at all; every number is read back to the bit.
+    """Write a camera as YAML, atomically; every number is read back exactly.
 
     Parameters
     ----------
@@ -361,7 +361,7 @@ def _written(value: object) -> str:
 
 
 def _rotation(located: Located, rows: list[list[float]]) -> F64:
-    """Return a rotation matrix; a rounded one is replaced by the nearest exact rotation."""
+    """Return a rotation matrix; a rounded matrix is replaced by the nearest exact rotation."""
     given = np.array(rows)
     error = np.abs(given @ given.T - np.eye(3)).max()
     if error <= _ROTATION_ERROR and np.linalg.det(given) > 0:

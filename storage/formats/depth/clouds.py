@@ -1,4 +1,4 @@
-"""Turn point clouds of a depth camera into depth images: organised ones are images, others are projected."""
+"""Convert point clouds to depth images: organised clouds already are images, and others are projected."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ MAX_POINTS = MAX_PIXELS
 """The largest number of points in the cloud of a frame."""
 
 _MIN_POINTS = 100
-_NEAREST = 1e-6  # metres; nearer points have no defined direction
+_NEAREST = 1e-6  # metres; the direction of nearer points is not defined
 _MIN_BEFORE = 0.9  # share of points; some programs leave a few behind the camera
 _MAX_RESIDUAL_PX = 1.0
 
@@ -39,9 +39,9 @@ class Cloud:
     path : Path
         The file, for errors.
     points : float64 array (n, 3)
-        Places in the unit of the file; NaN where nothing was measured.
+        Positions in the unit of the file; NaN where nothing was measured.
     size : tuple of (int, int), optional
-        Width and height where the points are the pixels of an image, row by row; None for others.
+        Width and height if the points are the pixels of an image, row by row (an organised cloud); otherwise None.
     """
 
     path: Path
@@ -52,7 +52,7 @@ class Cloud:
 def cloud_of(path: Path, points: F64, size: tuple[int, int] | None) -> Cloud:
     """Return the cloud of a file's points (n, 3), an array that is modified in place.
 
-    Clouds whose points all have z < 0 have OpenGL's axes (y up, z backward), which are converted to the camera's.
+    If all points have z < 0, they are in OpenGL's axes (y up, z backward), and are converted to the camera's axes.
 
     Raises
     ------
@@ -85,10 +85,10 @@ def cloud_depths(cloud: Cloud, camera: DepthCamera, unit_m: float = 1.0) -> F32:
     cloud : Cloud
         The points.
     camera : DepthCamera
-        The camera into which points are projected; a pixel takes its nearest point. An organised cloud is already an
-        image, and must have the camera's size.
+        The camera into which points are projected; a pixel gets the depth of its nearest point. An organised cloud is
+        already an image, and must have the size of the camera's images.
     unit_m : float, optional
-        Metres of the file's unit.
+        Metres per unit of the file.
 
     Returns
     -------
@@ -98,7 +98,7 @@ def cloud_depths(cloud: Cloud, camera: DepthCamera, unit_m: float = 1.0) -> F32:
     Raises
     ------
     SourceError
-        An organised cloud has another size than the camera.
+        An organised cloud has another size than the images of the camera.
     """
     width, height = camera.size
     if cloud.size is not None:
@@ -122,7 +122,7 @@ def fitted_matrix(cloud: Cloud) -> F64:
     Raises
     ------
     SourceError
-        The cloud has no rows, too few points, or does not fit a camera without distortion.
+        The cloud has no rows and columns, has too few points, or does not fit a camera without distortion.
     """
     found = _fit(cloud)
     matrix, residual = found
@@ -135,12 +135,12 @@ def fitted_matrix(cloud: Cloud) -> F64:
 
 
 def check_camera(cloud: Cloud, camera: DepthCamera) -> None:
-    """Raise an error if the camera projects an organised cloud's points elsewhere than to their rows and columns.
+    """Raise an error unless the camera projects the points of an organised cloud to their rows and columns.
 
     Raises
     ------
     SourceError
-        The points lie more than a pixel off in the median; the message states intrinsics that fit.
+        The median distance exceeds a pixel; the message states intrinsics that fit.
     """
     if cloud.size != camera.size:
         raise SourceError(cloud.path, size_fault(cloud.size or (0, 0), camera.size))
@@ -188,7 +188,7 @@ def _fit(cloud: Cloud) -> tuple[F64, float]:
 
 
 def refuse_size(path: Path, points: int, record: int) -> None:
-    """Raise an error for a header that claims more, or larger, points than a frame can have.
+    """Raise an error for a header that states more, or larger, points than a frame can have.
 
     Raises
     ------
@@ -200,7 +200,7 @@ def refuse_size(path: Path, points: int, record: int) -> None:
 
 
 def number_rows(path: Path, data: bytes, rows: int, columns: int, line: int, last: bool = True) -> F64:
-    """Return the numbers of text (rows, columns) after a header.
+    """Parse the text after a header as an array of numbers (rows, columns).
 
     Parameters
     ----------
@@ -209,16 +209,16 @@ def number_rows(path: Path, data: bytes, rows: int, columns: int, line: int, las
     data : bytes
         The text after the header.
     rows, columns : int
-        How many rows and columns the header claims.
+        The numbers of rows and columns that the header states.
     line : int
         The number of the first line of the text.
     last : bool, optional
-        False if something else may follow the rows.
+        False if other data may follow the rows.
 
     Raises
     ------
     SourceError
-        There are fewer or more rows or columns, or something else than numbers.
+        There are fewer or more rows or columns, or cells that are not numbers.
     """
     if 2 * rows * columns > len(data) + 1:
         raise SourceError(path, f"claims {rows:,} points, and has {len(data):,} bytes of them: is it cut off?")
@@ -242,14 +242,14 @@ def number_rows(path: Path, data: bytes, rows: int, columns: int, line: int, las
 
 
 def check_bytes(path: Path, claimed: int, found: int) -> None:
-    """Raise SourceError if a file has fewer or more bytes of points than its header claims."""
+    """Raise SourceError if a file has fewer or more bytes of points than its header states."""
     if claimed != found:
         what = "is it cut off?" if claimed > found else "the header does not fit its data"
         raise SourceError(path, f"claims {claimed:,} bytes of points, and has {found:,}: {what}")
 
 
 def record_points(data: bytes, start: int, rows: int, record: int, types: list[str], offsets: list[int]) -> F64:
-    """Return x, y, z (n, 3) from binary records.
+    """Return the coordinates x, y, z (n, 3) in binary records.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""Find the files of a depth recording's frames: their kind, and each frame's number from a name, list or time."""
+"""Find the files with the frames of a depth recording, and the number of each frame from a name, list or time."""
 
 from __future__ import annotations
 
@@ -34,29 +34,29 @@ CONVERTERS = {
     ".db3": "`ros2 run image_view image_saver --ros-args -r image:=/camera/depth/image_rect_raw -p encoding:=16UC1 -p "
     "filename_format:=depth_%06d.png` writes 16-bit PNG while `ros2 bag play` runs",
 }
-"""A dict from extension of recordings that cannot be read to the command that converts them to files that can."""
+"""A dict from the extension of unsupported recordings to the command that converts them to supported files."""
 
 CONVERTERS[".mcap"] = CONVERTERS[".db3"]
 
 _TIME = re.compile(r"(?:.*[^0-9.])?([0-9]{9,14}\.[0-9]+)")
-_SECONDS_DIGITS = 11  # digits; a longer whole part counts milliseconds
-_MAX_STEP, _MAX_TIMED_STEP = 5, 1.5  # most frames from one file to the next, in the median
-_MAX_SPAN, _MIN_SPAN = 10, 1000  # most frames of a recording per file, and a span that is always allowed
+_SECONDS_DIGITS = 11  # digits before the point; a longer number is a time in milliseconds
+_MAX_STEP, _MAX_TIMED_STEP = 5, 1.5  # largest median step between files, in frames
+_MAX_SPAN, _MIN_SPAN = 10, 1000  # largest number of frames per file over a recording, and a span that is always allowed
 _MAX_RATE_ERROR = 0.02
 
 
 @dataclass(frozen=True, eq=False)
 class FrameFiles:
-    """Files of frames.
+    """The files that hold the frames of a recording.
 
     Attributes
     ----------
     kind : str
         "images", "npz" or "raw".
     files : tuple of Path
-        The files in natural order; one of NPZ.
+        The files in natural order; a single file for NPZ.
     times : float64 array (T,), optional
-        Seconds of each file, ascending, where names or a list state them.
+        Time of each file in seconds, ascending, if names or a list state times.
     """
 
     kind: str
@@ -81,7 +81,8 @@ class FrameFiles:
         Raises
         ------
         SourceError
-            A name has no number, two have the same, the numbers do not count frames, or the rate contradicts the times.
+            A name has no number, two names have the same number, the numbers do not count frames, or the rate
+            contradicts the times.
         """
         timed = self.times is not None and rate_hz is not None
         found = self._timed(self.times, rate_hz) if timed else self._numbered()  # type: ignore[arg-type]
@@ -111,7 +112,7 @@ class FrameFiles:
         return found
 
     def _timed(self, times: F64, rate_hz: float) -> dict[int, Path]:
-        """Return a dict from frame number to file, by times, which may jitter by less than a frame."""
+        """Return a dict from frame number to file, by times, whose jitter must be less than a frame."""
         found: dict[int, Path] = {}
         last = -1
         for path, time in zip(self.files, (times - times[0]).tolist(), strict=True):
@@ -128,7 +129,7 @@ class FrameFiles:
 
 
 def find_frames(folder: Path, pattern: str, excluded: Path | None = None) -> FrameFiles:
-    """Return the files of a recording's frames.
+    """Return the files with the frames of a recording.
 
     Parameters
     ----------
@@ -137,12 +138,12 @@ def find_frames(folder: Path, pattern: str, excluded: Path | None = None) -> Fra
     pattern : str
         A pattern of files, a folder, an NPZ or raw file, or a list of TUM RGB-D (.txt).
     excluded : Path, optional
-        A file to leave out, although the pattern may match it.
+        A file that is not returned, although the pattern may match it.
 
     Raises
     ------
     SourceError
-        Nothing matches, or files of this kind are not read; the message states the command that converts them.
+        No file matches, or files of this kind cannot be read; the message states the command that converts them.
     """
     ending = Path(pattern).suffix.lower()
     if ending in CONVERTERS:
@@ -172,7 +173,7 @@ def find_frames(folder: Path, pattern: str, excluded: Path | None = None) -> Fra
 
 
 def _in_folder(folder: Path, pattern: str) -> tuple[Path, ...]:
-    """Return the frame files in a folder that have the first of the known extensions to occur there."""
+    """Return the frame files in a folder, with the first known extension that any file has."""
     fault: SourceError | None = None
     for ending in (*IMAGES, *RAW):
         try:
@@ -183,7 +184,7 @@ def _in_folder(folder: Path, pattern: str) -> tuple[Path, ...]:
 
 
 def _with_times(files: Sequence[Path]) -> FrameFiles:
-    """Return files in natural order, with times where every name ends with one (seconds or milliseconds)."""
+    """Return files in natural order, and their times if every name ends with a time (seconds or milliseconds)."""
     found = [_TIME.fullmatch(path.stem) for path in files]
     if len(files) < 2 or not all(found):
         return FrameFiles("images", tuple(files))

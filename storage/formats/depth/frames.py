@@ -32,7 +32,7 @@ class RawFrames:
     camera : DepthCamera
         The camera.
     count : int
-        How many images the file has.
+        The number of images in the file.
     """
 
     path: Path
@@ -89,12 +89,12 @@ class DepthSource(Protocol):
 
 @dataclass(frozen=True, eq=False)
 class ImageFiles:
-    """Depth frames in a file each.
+    """Depth frames that are in separate files.
 
     Attributes
     ----------
     files : mapping of int to Path
-        The number of a frame → its file.
+        Number of a frame → the file that holds it.
     camera : DepthCamera
         The camera.
     unit_m : float
@@ -123,7 +123,7 @@ def read_frame(path: str | Path, camera: DepthCamera, unit_m: float = 1.0) -> F3
     path : str or Path
         The file.
     camera : DepthCamera
-        The camera that took it; a cloud that is not organised is projected into its image.
+        The camera of the frame; a cloud that is not organised is projected into the image of this camera.
     unit_m : float, optional
         Metres per unit of clouds; images use the camera's unit.
 
@@ -144,7 +144,7 @@ def read_frame(path: str | Path, camera: DepthCamera, unit_m: float = 1.0) -> F3
     if ending in RAW:
         frames = open_raw(path, camera)
         if frames.count != 1:
-            raise SourceError(path, f"has {frames.count} images, and must have one")
+            raise SourceError(path, f"has {frames.count} images, but must have one")
         return frames.read(0)
     return read_depth_png(path, camera)
 
@@ -157,14 +157,14 @@ def read_cloud(path: Path) -> Cloud | None:
 
 @dataclass(eq=False)
 class DepthFrames:
-    """The frames of a recording: `frames[t]` is an image (H, W) in metres, or None where it is missing or damaged.
+    """The frames of a recording; `frames[t]` is an image (H, W) in metres, or None if it is missing or damaged.
 
     Attributes
     ----------
     source : DepthSource
         The images.
     damaged : dict of int to str
-        Frame, counted from 0 → the fault of its image, for the frames read so far.
+        Frame, counted from 0 → the fault of its image, for damaged frames that were read.
     """
 
     source: DepthSource
@@ -182,11 +182,11 @@ class DepthFrames:
 
     @property
     def missing(self) -> tuple[int, ...]:
-        """The frames, from 0, that the files do not have."""
+        """The frames, counted from 0, that are missing in the files."""
         return tuple(t for t in range(self._length) if self.first + t not in self._numbers)
 
     def notes(self) -> list[str]:
-        """Return notes on missing frames, and on damaged frames among the frames read so far."""
+        """Return notes on missing frames, and on the damaged frames that were read."""
         found = []
         if missing := self._length - len(self._numbers):
             found.append(f"{missing} of {self._length} frames are missing in the numbering of the files")

@@ -1,4 +1,4 @@
-"""Read depth images from an NPZ file with one array for all frames, unpacking a few at a time."""
+"""Read depth images from an NPZ file that has one array for all frames; only a few are unpacked at a time."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ class NpzFrames:
     camera : DepthCamera
         The camera.
     shape : tuple of (int, int, int)
-        Frames, height and width.
+        Number of frames, height and width.
     kind : str
         The NumPy type of the values.
     start : int
@@ -78,7 +78,7 @@ class NpzFrames:
         return self.camera.depths(image)
 
     def _unpack(self, start: int, size: int) -> bytes:
-        """Return `size` bytes of the array from an image's offset on; fewer if the file is damaged."""
+        """Return `size` bytes of the array from offset `start` on; fewer if the file is damaged."""
         data = b""
         try:
             with zipfile.ZipFile(self.path) as packed, packed.open(f"{_ARRAY}.npy") as entry:
@@ -92,7 +92,7 @@ class NpzFrames:
 
 @dataclass(frozen=True)
 class NpzValues:
-    """Values that an NPZ file may state besides its images; None for those it does not state.
+    """Values that an NPZ file may state besides its images; values that it does not state are None.
 
     Attributes
     ----------
@@ -113,7 +113,7 @@ class NpzValues:
 
 
 def npz_values(path: Path) -> NpzValues:
-    """Return the values that an NPZ file of depth images states besides them.
+    """Return the values that an NPZ file of depth images states besides the images.
 
     Raises
     ------
@@ -207,12 +207,12 @@ def _scalar(path: Path, name: str, numbers: dict[str, F64]) -> float | None:
 
 
 def camera_of_npz(path: Path, values: NpzValues) -> DepthCamera | None:
-    """Return the camera that an NPZ file states; None without intrinsics.
+    """Return the camera that an NPZ file describes; None if the file has no intrinsics.
 
     Raises
     ------
     SourceError
-        Its values describe no camera.
+        The values do not describe a valid camera.
     """
     if values.matrix is None:
         return None

@@ -1,4 +1,4 @@
-"""Read point clouds: PCD 0.7 of the Point Cloud Library, and PLY, each as text and in binary forms."""
+"""Read point clouds in PCD 0.7 (of the Point Cloud Library) and in PLY, both as text and in binary forms."""
 
 from __future__ import annotations
 
@@ -62,7 +62,7 @@ class _PcdHeader:
 
 
 def read_pcd(path: str | Path) -> Cloud:
-    """Read a point cloud in PCD.
+    """Read a point cloud in the format PCD.
 
     Parameters
     ----------
@@ -93,7 +93,7 @@ def read_pcd(path: str | Path) -> Cloud:
 
 
 def _pcd_header(path: Path, data: bytes) -> _PcdHeader:
-    """Return the header, which ends with the line DATA."""
+    """Return the header of a PCD file, which ends with the line DATA."""
     found: dict[str, list[str]] = {}
     start = number = 0
     while "DATA" not in found:
@@ -154,7 +154,7 @@ def _pcd_ascii(path: Path, header: _PcdHeader, data: bytes) -> F64:
 
 
 def _pcd_binary(path: Path, header: _PcdHeader, data: bytes) -> F64:
-    """Return the points of binary data, in which one record follows the other."""
+    """Return the points of binary data, in which the record of one point follows that of the previous point."""
     positions, record = _places(path, header), sum(header.sizes)
     _check_bytes(path, header.points * record, data, header.start)
     offsets = np.cumsum([0, *header.sizes])
@@ -182,7 +182,7 @@ def _compressed(path: Path, header: _PcdHeader, data: bytes) -> F64:
 
 
 def _check_bytes(path: Path, claimed: int, data: bytes, start: int) -> None:
-    """Raise an error for fewer or more bytes than claimed; zeros up to a whole memory page at the end are allowed."""
+    """Raise an error if a file has fewer or more bytes than stated; zeros that fill a last memory page are allowed."""
     found = len(data) - start
     if not (claimed < found <= claimed + _MAX_FILL and not data[start + claimed :].strip(b"\0\n")):
         check_bytes(path, claimed, found)
@@ -200,7 +200,10 @@ _PLY_TYPES = {
 
 @dataclass
 class _Element:
-    """An element of a file, such as `vertex`: its rows, and the name and type of each property; lists have no type."""
+    """An element of a PLY file, such as `vertex`: its number of rows, and the names and types of its properties.
+
+    The type of a property that is a list is empty.
+    """
 
     name: str
     rows: int
@@ -214,7 +217,7 @@ class _Element:
 
 
 def read_ply(path: str | Path) -> Cloud:
-    """Read a point cloud in PLY; it is never organised in rows and columns.
+    """Read a point cloud in the format PLY, which is never organised in rows and columns.
 
     Parameters
     ----------
@@ -253,7 +256,7 @@ def read_ply(path: str | Path) -> Cloud:
 
 
 def _ply_header(path: Path, data: bytes) -> tuple[str, list[_Element], int, int]:
-    """Return byte order, elements, the byte offset of the data, and the number of lines of the header."""
+    """Return byte order and elements, the byte offset of the data, and the number of lines of the header."""
     stop = data.find(b"end_header", 0, _MAX_HEADER)
     end = data.find(b"\n", stop) if stop >= 0 else -1
     if data[:3] != b"ply" or end < 0:

@@ -1,4 +1,4 @@
-"""Read and write depth images in 16-bit PNG, a file for each frame; headers are checked before pixels are decoded."""
+"""Read and write depth images as 16-bit PNG files, one per frame; headers are checked before pixels are decoded."""
 
 from __future__ import annotations
 
@@ -82,7 +82,7 @@ def read_depth_png(path: str | Path, camera: DepthCamera) -> F32:
     path : str or Path
         The file.
     camera : DepthCamera
-        The camera, whose unit the values have.
+        The camera, which defines the unit of the values.
 
     Returns
     -------
@@ -105,14 +105,14 @@ def write_depth_png(path: str | Path, depths: npt.ArrayLike, depth_unit_m: float
     path : str or Path
         The file.
     depths : float array (H, W)
-        Depths z in metres; NaN and values not above 0 were not measured and become 0.
+        Depths z in metres. NaN and values of at most 0 stand for pixels that were not measured, and become 0.
     depth_unit_m : float, optional
-        Metres per unit; depths are rounded to it.
+        Metres per unit; depths are rounded to whole units.
 
     Raises
     ------
     ParameterError
-        The image has no pixels, or a depth is beyond what 16 bits hold.
+        The image has no pixels, or a depth does not fit into 16 bits.
     """
     metres = np.asarray(depths, np.float64)
     if metres.ndim != 2 or not metres.size:

@@ -1,4 +1,4 @@
-"""Read a recording by a depth camera: check its files together, and open images that are read one at a time."""
+"""Read a recording by a depth camera: check its files against each other, and open its images for reading."""
 
 from __future__ import annotations
 
@@ -44,10 +44,10 @@ F64 = npt.NDArray[np.float64]
 Read = TypeVar("Read")
 
 SAMPLE = 10
-"""The number of frames, spread over a recording, on which it is checked."""
+"""The number of frames, spread over a recording, on which the recording is checked."""
 
 MAX_BACKGROUND_BYTES = 1 << 28
-"""The largest memory, in bytes, for the frames that a background is measured in; longer recordings are subsampled."""
+"""The largest memory, in bytes, for the frames from which a background is measured; more frames are subsampled."""
 
 CAMERA_MOVED = "much lies behind the background; did the camera move?"
 """The end of the note on frames that contradict the background."""
@@ -68,13 +68,13 @@ class DepthRecording:
     camera : DepthCamera
         The camera.
     background : float32 array (H, W) or None
-        Depths z of the empty room in metres, 0 where they are not known; None without a background.
+        Depths z of the empty room in metres, 0 where unknown; None if the recording has no background.
     frames : DepthFrames
         The images, read one at a time: depths z in metres.
     rate_hz : float
         Frames per second.
     body : str or None
-        A take of the store whose bone lengths are the person's, or `estimate`; None if the recording does not state it.
+        A take of the store that has the bone lengths of the person, or `estimate`; None if neither is stated.
     truth : str or Path or None
         The ground truth: a take of the store, or a file of positions.
     truth_pose : WorldPose or None
@@ -82,7 +82,7 @@ class DepthRecording:
     markers : mapping of str to str
         Marker of the ground truth → the joint that it is fixed to.
     notes : tuple of str
-        Sentences for the user on choices made and on what looks wrong; `frames.notes()` adds those on frames read.
+        Sentences for the user about choices and about values that look wrong; `frames.notes()` has those about frames.
     """
 
     name: str
@@ -105,7 +105,7 @@ def read_recording(file: DepthRecordingsFile, name: str) -> DepthRecording:
     file : DepthRecordingsFile
         The file of recordings, see `kinedex.catalog.depth_recordings.load_depth_recordings`.
     name : str
-        The name of one of them.
+        The name of a recording in the file.
 
     Raises
     ------
@@ -132,7 +132,7 @@ def read_recording(file: DepthRecordingsFile, name: str) -> DepthRecording:
 
 
 def recording_files(file: DepthRecordingsFile, name: str) -> list[tuple[str, Path]]:
-    """Return the files that a recording is read from, each with the key that names it, without its ground truth.
+    """Return the files of a recording except its ground truth, each with the key that names the file.
 
     Raises
     ------
@@ -163,7 +163,7 @@ def recording_truth(file: DepthRecordingsFile, name: str) -> str | Path | None:
 
 @dataclass(frozen=True)
 class _Entry:
-    """A recording's entry in the file of recordings."""
+    """The entry of a recording in the file of recordings."""
 
     file: DepthRecordingsFile
     name: str
@@ -173,7 +173,7 @@ class _Entry:
         return self.file.error(self.name, key, message)
 
     def path(self, key: str, pattern: str) -> Path:
-        """Return the one file that a key names; errors name the key."""
+        """Return the single file that a key names; errors name the key."""
         try:
             found = find_files(self.file.folder, pattern, excluded=self.file.located.path).files
         except SourceError as fault:
@@ -232,7 +232,7 @@ class _Entry:
         return float(found)
 
     def source(self, files: FrameFiles, camera: DepthCamera) -> DepthSource:
-        """Return the source of the images, by the kind of the files."""
+        """Return the source of the images for files of their kind."""
         unit_m = self.given.depth_unit_m or 1.0
         if files.kind == "npz":
             return open_npz(files.files[0], camera, unit_m)
@@ -245,7 +245,7 @@ class _Entry:
         present = [number - frames.first for number in frames.source.numbers]
         chosen = {present[i] for i in np.linspace(0, len(present) - 1, min(SAMPLE, len(present))).astype(int)}
         images = {t: image for t in sorted(chosen) if (image := frames[t]) is not None}
-        if not images:  # all of the sample are damaged: try the first frames
+        if not images:  # all images of the sample are damaged: try the first frames
             for t in present[:_MAX_TRIES]:
                 if (image := frames[t]) is not None:
                     return {t: image}
@@ -255,7 +255,7 @@ class _Entry:
     def background(
         self, camera: DepthCamera, frames: DepthFrames, images: Mapping[int, F32]
     ) -> tuple[F32 | None, list[str]]:
-        """Return the background image, or None without one, and notes on it."""
+        """Return the background image, or None if there is none, and notes on it."""
         given = self.given.background
         if given is None:
             given = AUTO if shows_room(images) else NONE
@@ -309,7 +309,7 @@ class _Entry:
         return notes
 
     def moved_note(self, images: Mapping[int, F32], background: F32 | None) -> str:
-        """Return a note on frames that lie behind the background; raise an error if no frame fits the background."""
+        """Return a note on frames that are behind the background; raise an error if no frame fits the background."""
         moved = {}
         if background is not None and self.given.background not in (None, AUTO):
             moved = moved_frames(images, background)
@@ -336,7 +336,7 @@ class _Entry:
         return self.error("depth_unit_m", fault)
 
     def truth(self) -> str | Path | None:
-        """Return the ground truth: a file of this name below the folder if it exists, else the name of a take."""
+        """Return the ground truth: a file below the folder if the named file exists, otherwise the name of a take."""
         given = self.given.truth
         if given is None:
             return None
@@ -352,7 +352,7 @@ def _first_size(files: FrameFiles) -> tuple[int, int] | None:
 
 
 def _first_read(files: FrameFiles, read: Callable[[Path], Read]) -> Read:
-    """Return what is read from the first file that can be read; if none can, raise the error of the first file."""
+    """Read the first file that can be read, and return the result; if none can, raise the error of the first file."""
     fault: KinedexError | None = None
     for path in files.files[:_MAX_TRIES]:
         try:

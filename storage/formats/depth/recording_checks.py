@@ -1,4 +1,4 @@
-"""Check a depth recording on a few of its frames, and guess at the cause of a fault."""
+"""Check a depth recording on a few of its frames, and suggest the cause of a fault."""
 
 from __future__ import annotations
 
@@ -17,19 +17,19 @@ NEAREST_M, FARTHEST_M = 0.4, 8.0
 """The smallest and largest distance of a person from the camera, in metres."""
 
 SMALLEST_M, LARGEST_M = 0.45, 4.5
-"""The smallest and largest size of what stands before the background, in metres; two persons may be 3 m apart."""
+"""The smallest and largest extent of the foreground in metres; two persons may be 3 m apart."""
 
 PERSON_M = 0.5, 2.3
 """The smallest and largest size of a person in metres, by which the likely unit is chosen."""
 
 MAX_BEHIND = 0.2
-"""The fraction of pixels behind the background above which the camera must have moved."""
+"""The fraction of pixels behind the background from which it follows that the camera has moved."""
 
 OTHER_UNIT = 5.0
-"""The ratio between the distances of images and background above which their units differ."""
+"""The ratio between the distances in the images and in the background from which it follows that the units differ."""
 
 MAX_ROOM = 0.5
-"""The fraction of measured pixels above which the images show the room."""
+"""The fraction of measured pixels from which it follows that the images show the room."""
 
 UNITS_M = (0.001, 0.0001, 0.0002, 0.00025, 0.000125, 0.0005, 0.01, 1.0, 0.0254)
 """Metres per unit of depth cameras and clouds that are tried, the usual ones first."""
@@ -40,7 +40,7 @@ _USUAL_SIZE_M, _USUAL_DISTANCE_M = 1.5, 2.5
 
 
 class Extents(NamedTuple):
-    """Distance and size of the person in a few frames, or distance of the nearest part of the room.
+    """Distance and size of the person in a few frames, or the distance of the nearest part of the room.
 
     Attributes
     ----------
@@ -70,12 +70,13 @@ def measured_extents(camera: DepthCamera, images: Mapping[int, F32], background:
     images : mapping of int to float32 array (H, W)
         A few frames.
     background : float32 array (H, W), optional
-        The empty room; None where it was removed from the images.
+        The empty room; None if the room was removed from the images.
 
     Returns
     -------
     Extents, optional
-        None if nothing is seen; those of the nearest part of the room if the person cannot be told from it.
+        The extents of the person, or of the nearest part of the room if the person cannot be distinguished from it;
+        None if nothing is seen.
     """
     found = [
         one
@@ -92,7 +93,7 @@ def measured_extents(camera: DepthCamera, images: Mapping[int, F32], background:
 
 
 def unit_fault(extents: Extents, unit_m: float) -> str:
-    """Return the message about a unit that distance or size contradicts; empty if the unit may be right.
+    """Return a message if distance or size contradict the unit; empty if the unit may be right.
 
     Parameters
     ----------
@@ -124,19 +125,19 @@ def unit_fault(extents: Extents, unit_m: float) -> str:
 
 
 def _unlikely(extents: Extents, scale: float) -> float:
-    """Return a measure of how implausible distance and size, times a scale, are for a person."""
+    """Return a measure of how implausible distance and size, multiplied by a scale, are for a person."""
     size = abs(np.log(extents.greatest * scale / _USUAL_SIZE_M))
     return float(size + abs(np.log(extents.distance * scale / _USUAL_DISTANCE_M)))
 
 
 def moved_frames(images: Mapping[int, F32], background: F32) -> dict[int, float]:
-    """Return a dict from frame to fraction of pixels behind the background, for frames in which it is too large."""
+    """Return, by frame, the fraction of pixels behind the background, for frames in which it is too large."""
     shares = {frame: behind_share(image, background) for frame, image in images.items()}
     return {frame: share for frame, share in shares.items() if share > MAX_BEHIND}
 
 
 def other_unit(images: Mapping[int, F32], background: F32) -> float | None:
-    """Return the ratio of the images' distances to the background's if it implies another unit; else None."""
+    """Return the ratio of distances in the images to the background's if it implies another unit; otherwise None."""
     ratios = [
         np.median(image[both] / background[both])
         for image in images.values()
@@ -147,7 +148,7 @@ def other_unit(images: Mapping[int, F32], background: F32) -> float | None:
 
 
 def likely_unit(unit_m: float) -> float:
-    """Return the usual unit that is nearest to one."""
+    """Return the usual unit that is nearest to a given unit in metres."""
     return min(UNITS_M, key=lambda one: abs(float(np.log(one / unit_m))))
 
 

@@ -1,8 +1,9 @@
-"""Read CSV files of Xsens DOT (Movella DOT): one sensor a file, lines of settings, then columns by name.
+"""Read CSV files of Xsens DOT (Movella DOT): one sensor per file, lines of settings, then named columns.
 
-Written from the manual, without a sample file: `sep=,`, `DeviceTag:,…`, `OutputRate:,60Hz`, then PacketCounter,
-SampleTimeFine (µs, which wraps at 2³²), Quat_W … or Euler_X …, FreeAcc_X … or Acc_X …, Gyr_X … (degrees/s), Mag_X …
-Free accelerations have no gravity and are not read. Only the names of columns are required.
+The format is taken from the manual, without a sample file. The settings are `sep=,`, `DeviceTag:,…` and
+`OutputRate:,60Hz`. The columns are PacketCounter, SampleTimeFine (µs, which wraps at 2³²), Quat_W … or Euler_X …,
+FreeAcc_X … or Acc_X …, Gyr_X … (degrees/s) and Mag_X … Free accelerations have no gravity and are not read. Settings
+may be missing; only the names of the columns are required.
 """
 
 from __future__ import annotations

@@ -1,13 +1,14 @@
-"""Read HDF5 files of sensors: those of Opal (APDM), and any other by the names of its data sets.
+"""Read HDF5 files of sensors: those of Opal (APDM), and other files by the names of their data sets.
 
-Opal's are `Sensors/<id>/Accelerometer`, `Gyroscope`, `Magnetometer` and `Time` (µs), `Processed/<id>/Orientation`, and
-the name of a sensor in the attribute `Label 0` of its configuration. Older files (versions 3 and 4) have
-`<id>/Calibrated/Accelerometers`, `Gyroscopes`, `Magnetometers`, `Orientation` and `<id>/Time`, the rate in `SampleRate`
-of `<id>`, and the names in `MonitorLabelList` of the file, in the order of its `CaseIdList`. Both layouts are those of
-the manual and of other people's code, without a sample file; missing data sets are accepted.
+The data sets of Opal are `Sensors/<id>/Accelerometer`, `Gyroscope`, `Magnetometer` and `Time` (µs), and
+`Processed/<id>/Orientation`; the name of a sensor is the attribute `Label 0` of its configuration. Older files
+(versions 3 and 4) have `<id>/Calibrated/Accelerometers`, `Gyroscopes`, `Magnetometers`, `Orientation` and `<id>/Time`,
+the rate in `SampleRate` of `<id>`, and the names in `MonitorLabelList` of the file, in the order of its `CaseIdList`.
+Both layouts are taken from the manual and from published programs, without a sample file; data sets may be missing.
 
-Other data sets are columns as in a table: `imu_acc` of three columns is imu_acc/x, imu_acc/y and imu_acc/z. The rate is
-an attribute `sampling_rate`, `sample_rate`, `rate_hz` or `fs` of the file or of a group.
+In other files, data sets are read like the columns of a table: a data set `imu_acc` with three columns is imu_acc/x,
+imu_acc/y and imu_acc/z. The rate is an attribute `sampling_rate`, `sample_rate`, `rate_hz` or `fs` of the file or of a
+group.
 """
 
 from __future__ import annotations
@@ -49,14 +50,14 @@ _BYTES_A_SECOND = 4 << 20
 
 @dataclass(frozen=True)
 class Dataset:
-    """A data set, or a field of a compound one.
+    """A data set, or a field of a compound data set.
 
     Attributes
     ----------
     shape : tuple of int
-        Its shape.
+        The shape.
     kind : str
-        The kind of its type, as in NumPy: f, i, u, b, S, O, …
+        The kind of the values' type, as in NumPy: f, i, u, b, S, O, …
     """
 
     shape: tuple[int, ...]
@@ -70,9 +71,10 @@ class Hdf5Contents:
     Attributes
     ----------
     datasets : dict of str to Dataset
-        Path → data set; a field of a compound one is `path/field`.
+        Path → data set; a field of a compound data set has the path `path/field`.
     attributes : dict of str to dict
-        Path of a group or data set, "" for the file → its short texts, lists of texts, and single numbers.
+        Path of a group or data set, or "" for the file → those of its attributes that are short texts, lists of texts,
+        or single numbers.
     """
 
     datasets: dict[str, Dataset]
@@ -103,7 +105,7 @@ def hdf5_contents(path: Path) -> Hdf5Contents:
 
 
 def hdf5_arrays(path: Path, contents: Hdf5Contents, names: Sequence[str]) -> list[npt.NDArray[Any]]:
-    """Return data sets of a file, numbers as float64 and integers as int64.
+    """Return data sets of a file; integers become int64 and other numbers float64.
 
     Raises
     ------
@@ -130,7 +132,7 @@ def hdf5_arrays(path: Path, contents: Hdf5Contents, names: Sequence[str]) -> lis
 
 
 def check_header(path: Path) -> None:
-    """Check the first bytes of an HDF5 file, and that it has the size that they state.
+    """Check that a file begins as HDF5 files do, and has the size that its header states.
 
     Raises
     ------
@@ -142,10 +144,10 @@ def check_header(path: Path) -> None:
         raise SourceError(path, "is no HDF5 file")
     version = head[8] if len(head) > 8 else -1
     if version not in _PLACES or len(head) < 60:
-        raise SourceError(path, f"has a header that is damaged, of the version {version}; 0 to 3 are known")
+        raise SourceError(path, f"has a damaged header, with the version {version}; 0 to 3 are known")
     offsets, lengths, base = _PLACES[version]
     if head[offsets] != 8 or head[lengths] != 8:
-        raise SourceError(path, "has a header that is damaged: places and sizes must have 8 bytes")
+        raise SourceError(path, "has a damaged header: offsets and sizes must have 8 bytes")
     start = int.from_bytes(head[base : base + 8], "little")
     end = int.from_bytes(head[base + 16 : base + 24], "little")
     if start != 0 or end > size:
@@ -185,7 +187,7 @@ _AXES = {3: "xyz", 4: "wxyz"}
 
 
 class _Layout(NamedTuple):
-    """Paths of a sensor in a file of Opal: a pattern that captures its number, and paths with {0} for it."""
+    """Paths of a sensor in a file of Opal: a pattern that captures the sensor's number, and paths with {0} for it."""
 
     device: str
     readings: str
@@ -248,7 +250,7 @@ def _opal(path: Path, contents: Hdf5Contents, devices: list[str], layout: _Layou
 
 
 def _set(path: Path, sensor: RawSensor, contents: Hdf5Contents, wanted: Mapping[str, str]) -> None:
-    """Set the channels and times of a sensor that the file has; they must have equal lengths."""
+    """Set the channels and times that the file has for a sensor; all must have equal lengths."""
     present = {key: name for key, name in wanted.items() if name in contents.datasets}
     width = {"orientation": 4, "times": None}
     for key, name in present.items():
@@ -265,7 +267,7 @@ def _set(path: Path, sensor: RawSensor, contents: Hdf5Contents, wanted: Mapping[
 
 
 def _label(contents: Hdf5Contents, device: str) -> str | None:
-    """Return the name of an Opal, from the attribute `Label 0` of its groups or the list of labels; None without."""
+    """Return the name of an Opal, from the attribute `Label 0` of its groups or the list of labels; None if unknown."""
     for group in (f"Sensors/{device}/Configuration", f"Sensors/{device}", f"Processed/{device}"):
         label = contents.attributes.get(group, {}).get("Label 0")
         if isinstance(label, str) and label.strip():
@@ -280,7 +282,7 @@ def _label(contents: Hdf5Contents, device: str) -> str | None:
 
 
 def _rate(contents: Hdf5Contents, *groups: str) -> float | None:
-    """Return the samples per second stated by an attribute of one of the groups, None if none states them."""
+    """Return the samples per second that an attribute of one of the groups states; None if there is none."""
     for group in groups:
         for key, value in contents.attributes.get(group, {}).items():
             if key.lower() in _RATES and isinstance(value, float) and np.isfinite(value) and value > 0:
@@ -289,7 +291,7 @@ def _rate(contents: Hdf5Contents, *groups: str) -> float | None:
 
 
 def _by_columns(path: Path, contents: Hdf5Contents, given: UserStatements) -> list[RawSensor]:
-    """Read the data sets that are named like table columns, all of one length."""
+    """Read the data sets that are named like the columns of a table, which must have equal lengths."""
     header: list[str] = []
     parts: list[tuple[str, int | None]] = []
     for name, dataset in contents.datasets.items():
@@ -304,7 +306,7 @@ def _by_columns(path: Path, contents: Hdf5Contents, given: UserStatements) -> li
                 parts.append((name, column))
     layout = layout_of(path, header, given)
     if layout.sensor is not None:
-        raise SourceError(path, "has a column of sensors; in HDF5 files each sensor has data sets of its own")
+        raise SourceError(path, "has a column of sensors; in HDF5 files each sensor has separate data sets")
     names = list(dict.fromkeys(parts[place][0] for place in layout.columns()))
     lengths = {name: contents.datasets[name].shape[0] for name in names}
     if len(set(lengths.values())) > 1 or max(lengths.values()) > MAX_ROWS:

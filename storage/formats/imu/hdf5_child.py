@@ -1,8 +1,8 @@
-"""Open an HDF5 file in a process of its own: a damaged file can crash the library that reads it.
+"""Open an HDF5 file in a separate process, because a damaged file can crash the library that reads it.
 
-It is run by `hdf5` as `python hdf5_child.py FILE [NAME…]`. Without names it prints the data sets and attributes
-as JSON, with names it writes these data sets as an NPZ file to its output. An error is reported in a line on standard
-error.
+The module `hdf5` runs this program as `python hdf5_child.py FILE [NAME…]`. Without names, the program prints a
+description of the data sets and attributes as JSON; with names, it writes these data sets to its output, as an NPZ
+file. An error is reported in one line on standard error.
 """
 
 from __future__ import annotations
@@ -21,9 +21,9 @@ _MAX_TEXT = 2_000
 
 
 def describe(path: str) -> dict[str, Any]:
-    """Return the data sets of a file, with shape and type, and the attributes of its groups that are short.
+    """Return the data sets of a file, with shape and type, and the short attributes of its groups.
 
-    Links and data sets whose numbers are in other files are left out.
+    Links, and data sets whose values are in other files, are excluded.
     """
     datasets: dict[str, Any] = {}
     attributes: dict[str, Any] = {}
@@ -64,7 +64,7 @@ def plain(attributes: Any, key: str) -> str | float | list[str] | None:
 
 
 def read(path: str, names: list[str]) -> dict[str, Any]:
-    """Return data sets by name, floats as float64 and integers as int64; "name/field" is a field of a compound."""
+    """Return data sets by name, floats as float64 and integers as int64; "name/field" names a field of a compound."""
     found = {}
     with h5py.File(path, "r") as file:
         for i, name in enumerate(names):

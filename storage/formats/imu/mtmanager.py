@@ -1,8 +1,8 @@
-"""Read text exports of Xsens MT Manager: one sensor a file, a head of comments, then columns by name.
+"""Read text exports of Xsens MT Manager: one sensor per file, a header of comments, then named columns.
 
 Columns are separated by tabs, commas, semicolons or single blanks, and cells can be empty. Orientations are quaternions
 (Quat_q0 … or Quat_w …), matrices (Mat[row][column]) or Euler angles (Roll, Pitch, Yaw in degrees, of Rz·Ry·Rx). Samples
-are counted by PacketCounter, which wraps at 65,536; the wrap is taken from the manual, no sample file shows it.
+are counted by PacketCounter, which wraps at 65,536 according to the manual; no sample file shows the wrap.
 """
 
 from __future__ import annotations
@@ -24,12 +24,12 @@ _WORLDS = {"ENU": ENU, "NWU": NWU, "NED": NED}
 
 
 def recognises(path: Path, head: bytes) -> bool:
-    """Return True for a text with a head of comments and a counter among its columns."""
+    """Return True for a text with a header of comments and a counter among its columns."""
     return head.lstrip(b"\xef\xbb\xbf").startswith(b"//") and re.search(rb"^(Packet)?Counter\b", head, re.M) is not None
 
 
 def session_of(path: str, head: bytes) -> str:
-    """Return the path of a file without the sensor number at its end, which is common to the files of a session."""
+    """Return the path of a file without the sensor number at its end; all files of a session share this path."""
     device = _DEVICE.search(head.decode("latin-1"))
     number = re.escape(device[1]) if device else "[0-9A-Fa-f]{8}"
     return re.sub(rf"[-_]{number}\.[^./]+$", "", path)

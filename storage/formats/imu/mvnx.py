@@ -1,7 +1,7 @@
 """Read the sensors in an MVNX file of Xsens MVN: orientations and magnetic fields, at the rate of the motion.
 
-Written from the manual, without a sample file: orientations are quaternions w x y z from the sensor to F_GI (X
-magnetic north, Y west, Z up). The accelerations in such files have no gravity, and are not read.
+The format is taken from the manual, without a sample file. Orientations are quaternions w x y z from the sensor to F_GI
+(X magnetic north, Y west, Z up). The accelerations in such files have no gravity, and are not read.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ def recognises(path: Path, head: bytes) -> bool:
 
 
 def read(path: Path, given: UserStatements) -> list[RawSensor]:
-    """Read the sensors of all subjects; of several subjects, each sensor is named `subject/sensor`.
+    """Read the sensors of all subjects; if there are several subjects, a sensor is named `subject/sensor`.
 
     Raises
     ------

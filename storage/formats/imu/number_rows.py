@@ -18,7 +18,7 @@ F64 = npt.NDArray[np.float64]
 I64 = npt.NDArray[np.int64]
 
 MAX_TEXT_BYTES = 2 << 30
-"""The largest text in bytes; Parquet and HDF5 hold an hour of twenty sensors in half of this."""
+"""The largest text file in bytes; an hour of twenty sensors takes half of this in Parquet or HDF5."""
 
 LARGEST = 1e20
 """The largest number that a sensor can write: nanoseconds since 1970 are 1.7e18."""
@@ -36,7 +36,7 @@ class NumberRows:
     Attributes
     ----------
     numbers : float64 array (rows, columns)
-        The wanted columns, NaN for an empty cell.
+        The wanted columns of numbers; NaN for an empty cell.
     texts : list of list of str
         The columns of text.
     lines : int64 array (rows,)
@@ -67,7 +67,7 @@ def text_lines(path: Path) -> list[str]:
 
 
 def separator_of(header: str) -> str:
-    """Return the most frequent separator of a header; a blank only if there is no other, since names contain it too."""
+    """Return the most frequent separator of a header; a blank only if there is no other, since names contain blanks."""
     *others, blank = SEPARATORS
     found = max(others, key=lambda one: (header.count(one), -others.index(one)))
     return found if found in header else blank
@@ -89,7 +89,7 @@ def number_rows(
     path : Path
         The file, for messages.
     lines : sequence of str
-        All its lines.
+        All lines of the file.
     first : int
         The index of the first row.
     separator : str
@@ -130,7 +130,7 @@ def number_rows(
 
 @dataclass(frozen=True)
 class _Table:
-    """A table whose rows are being read."""
+    """The columns of a table and its conversion of rows to numbers."""
 
     path: Path
     separator: str
@@ -139,7 +139,7 @@ class _Table:
     texts: list[int]
 
     def plain_numbers(self, lines: list[str]) -> F64 | None:
-        """Return the wanted cells of rows in which all of them are plain numbers; None for other rows."""
+        """Return the wanted cells of rows if all of them are plain numbers; otherwise None."""
         others = len(self.header) - 1
         if any(line.count(self.separator) != others or '"' in line for line in lines):
             return None
@@ -150,7 +150,7 @@ class _Table:
         return found if found.shape == (len(lines), len(self.wanted)) and not (np.abs(found) > LARGEST).any() else None
 
     def cells(self, line: str, number: int) -> list[str]:
-        """Return the cells of a row; raise an error if it lacks wanted cells or has more than the header."""
+        """Return the cells of a row; raise an error if it lacks wanted cells or has more cells than the header."""
         cells = cells_of(line, self.separator) if '"' in line else line.split(self.separator)
         count = len(self.header)
         if len(cells) <= max(self.wanted + self.texts):
@@ -181,7 +181,7 @@ class _Table:
         return pick if len(self.wanted) > 1 else lambda cells: (pick(cells),)
 
     def _slowly(self, rows: list[list[str]], lines: list[int]) -> Iterator[float]:
-        """Yield the wanted cells as numbers one by one, with decimal commas if the separator allows them."""
+        """Yield the wanted cells as numbers, one by one; decimal commas are read if the separator allows them."""
         for cells, line in zip(rows, lines, strict=True):
             for column, place in enumerate(self.wanted):
                 cell = cells[place].strip()

@@ -1,8 +1,8 @@
-"""Read CSV exports of Opal (APDM): those with a line of names and one of units, and those that begin with `Format=7`.
+"""Read CSV exports of Opal (APDM) in two layouts: with lines of names and of units, or beginning with `Format=7`.
 
-The first has a line `Sample Rate:,128,Hz`, names as `Label/Acceleration/X`, and units below; its times are seconds.
-The second has a line with number and label of each sensor, then the quantities and the axes of their columns; its times
-are microseconds. Both hold quaternions from the sensor to F_GI.
+The first layout has a line `Sample Rate:,128,Hz`, names such as `Label/Acceleration/X`, and units below the names; its
+times are seconds. The second has a line with number and label of each sensor, then lines with the quantities and axes
+of the columns; its times are microseconds. In both, quaternions rotate from the sensor to F_GI.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ _MAX_SETTINGS = 20
 
 
 def recognises(path: Path, head: bytes) -> bool:
-    """Return True for either of the two headers."""
+    """Return True for a file that begins with the header of either layout."""
     head = head.lstrip(b"\xef\xbb\xbf")
     return (
         re.match(rb'"?Format=\d+\s*,', head) is not None
@@ -107,7 +107,7 @@ def _sensors(
     path: Path, lines: Sequence[str], header: Sequence[str], body: int,
     columns: dict[str, dict[str, dict[str, int]]], tick_s: float, units: dict[str, str], rate_hz: float | None,
 ) -> list[RawSensor]:  # fmt: skip
-    """Return the sensors of a table, with the column of every axis of their channels."""
+    """Return the sensors of a table, given the column of every axis of their channels."""
     if not columns or len(columns) > MAX_SENSORS:
         raise SourceError(path, f"must have the columns of 1 to {MAX_SENSORS} sensors, got {len(columns)}")
     places: dict[str, dict[str, list[int]]] = {}

@@ -1,7 +1,7 @@
 """Read a recording of inertial sensors, in SI units and with all orientations in one world.
 
-The table that kinedex itself writes (`kinedex simulate imu`) is read back without any description, as Parquet, CSV or
-HDF5. It has one row for each sample of each sensor and the columns
+Tables that kinedex itself writes (`kinedex simulate imu`), in Parquet, CSV or HDF5, are read without a description of
+their columns. Such a table has one row for each sample of each sensor, and the columns
 
     sensor                            the sensor's name; absent in a table of one sensor
     time_s                            seconds on the sensor's clock
@@ -10,9 +10,9 @@ HDF5. It has one row for each sample of each sensor and the columns
     mag_x mag_y mag_z                 magnetic field, µT
     q_w q_x q_y q_z                   orientation, sensor → F_GI (X magnetic north, Y west, Z up)
 
-of which `time_s` and one group are required, and an empty or NaN cell is a value that was not measured. The columns
-`acc`, `gyr`, `mag` and `orientation` of structures (x, y, z) and (w, x, y, z), and `t`, are the same. A sensor that has
-a limb's name is worn on that limb.
+of which `time_s` and one of the other groups are required. An empty or NaN cell is a value that was not measured. The
+names `acc`, `gyr`, `mag` and `orientation` for columns of structures (x, y, z) or (w, x, y, z), and `t` for times, are
+recognised as well. A sensor with the name of a limb is worn on that limb.
 """
 
 from __future__ import annotations
@@ -39,7 +39,7 @@ class ImuRecording:
     Attributes
     ----------
     name : str
-        The recording's name, which is that of its file.
+        The name of the recording, which is that of its file.
     sensors : list of ImuSensor
         The sensors, in the order of the file.
     format : str
@@ -65,7 +65,7 @@ class ImuFormat:
     recognises : callable
         Returns True for a file of the format, given its path and its first bytes.
     read : callable
-        Returns the sensors of a file, given its path and what the user states about it.
+        Returns the sensors of a file, given its path and the user's statements about it.
     """
 
     title: str
@@ -82,7 +82,7 @@ FORMATS = {
     "xio": ImuFormat("x-io CSV (x-IMU3, NGIMU)", xio.recognises, xio.read),
     "table": ImuFormat("table (CSV or Parquet)", tables.recognises, tables.read),
 }
-"""A dict from name to format; a file has the first format that recognises it."""
+"""A dict from name to format; the format of a file is the first one that recognises the file."""
 
 HDF5_ENDINGS = (".h5", ".hdf5")
 """Endings of HDF5 files."""
@@ -101,14 +101,14 @@ def read_recording(
     path : path
         The file.
     rate_hz : float, optional
-        Samples per second, for a file that states neither them nor times.
+        Samples per second, for a file that states neither its rate nor times.
     sensor_set : SensorSet, optional
-        Units, axes, world and columns, where the file does not state them or states them wrongly.
+        Units, axes, world and columns, if the file does not state them or states them wrongly.
 
     Returns
     -------
     ImuRecording
-        Its sensors.
+        The sensors of the file.
 
     Raises
     ------
@@ -128,14 +128,15 @@ def read_together(
     paths : sequence of Path
         The files, at least one.
     name : str, optional
-        The name of the recording; by default the first file's.
+        The name of the recording; by default that of the first file.
     rate_hz, sensor_set : optional
         See `read_recording`.
 
     Returns
     -------
     ImuRecording
-        The sensors of all files, with times from the first sample of any of them unless the clock starts at 0.
+        The sensors of all files. If their clock does not start at 0, times are relative to the first sample of any
+        sensor.
 
     Raises
     ------
@@ -156,7 +157,7 @@ def read_together(
     for path, sensor in raw:
         if sensor.name in seen:
             other = "twice" if seen[sensor.name] == path else f"as {seen[sensor.name].name} has"
-            raise SourceError(path, f"has the sensor '{sensor.name}' {other}; sensors of a recording need own names")
+            raise SourceError(path, f"has the sensor '{sensor.name}' {other}; sensors need different names")
         seen[sensor.name] = path
     _share_clock([sensor for _, sensor in raw])
     sensors = [checked_sensor(path, sensor, given) for path, sensor in raw]
@@ -177,7 +178,7 @@ def _unfinished(path: Path) -> str:
 
 
 def _share_clock(sensors: Sequence[RawSensor]) -> None:
-    """Shift counters and absolute clocks so that the first sample of any sensor is at 0."""
+    """Shift counters and absolute clocks so that the earliest sample of all sensors is at 0."""
     starts: list[int] = []
     counted = [(sensor, sensor.steps) for sensor in sensors if sensor.steps is not None and len(sensor.steps)]
     for sensor, steps in counted:
@@ -207,15 +208,15 @@ def recognised(path: Path) -> str:
             return name
     if path.suffix.lower() in HDF5_ENDINGS:
         raise SourceError(
-            path, f"is no HDF5 file, although its ending is {path.suffix}; export or copy it again, or give it the "
-            "ending of what it is"
+            path, f"is no HDF5 file, although its ending is {path.suffix}; export or copy it again, or correct "
+            "its ending"
         )  # fmt: skip
     known = ", ".join(form.title for form in FORMATS.values())
     raise SourceError(path, f"is no file of inertial sensors that is known; known: {known}")
 
 
 def is_sensor_file(path: Path) -> bool:
-    """Return True for a file of sensors rather than of motion; MVNX counts as motion, tables go by their columns."""
+    """Return True for a file of sensors, not of motion; MVNX counts as motion, tables are judged by their columns."""
     try:
         name = recognised(path)
     except SourceError:
@@ -224,7 +225,7 @@ def is_sensor_file(path: Path) -> bool:
 
 
 def belongs_to(path: Path) -> Path | None:
-    """Return the file with which a file is read, such as the readings beside quaternions; None if it is read alone."""
+    """Return the file with which a file must be read, such as readings for quaternions; None if there is none."""
     main = xio.beside(path)
     try:
         return main if main is not None and recognised(path) == "xio" else None
@@ -233,7 +234,7 @@ def belongs_to(path: Path) -> Path | None:
 
 
 def session_of(file: Path, path: str) -> str:
-    """Return the name of a file's recording: its path, for MT Manager without the sensor's number at the end.
+    """Return the name of the recording of a file: its path, without the sensor number that MT Manager appends.
 
     Parameters
     ----------
@@ -246,7 +247,7 @@ def session_of(file: Path, path: str) -> str:
 
 
 def has_readings(path: Path, sensor_set: SensorSet) -> bool:
-    """Return True unless the file is a table without columns of a sensor, such as one that accompanies recordings."""
+    """Return True unless the file is a table without sensor columns, such as a table that describes recordings."""
     if sensor_set.entries.columns is not None or recognised(path) != "table":
         return True
     return tables.has_readings(path, ("acc", "gyr", "orientation"))

@@ -1,4 +1,4 @@
-"""Convert the samples of a file to a sensor in SI units; check units, axes, worlds and times for contradictions."""
+"""Convert the samples of a sensor to SI units, and check its units, axes, world and times for contradictions."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ LATEST_S = 1e11
 FASTEST_RAD_S = 70.0
 """The largest plausible angular velocity: 4,000 degrees per second."""
 
-_LONG_STEPS = 10.0  # a step longer than so many mean steps is a gap
+_LONG_STEPS = 10.0  # a step longer than this number of mean steps is a gap
 _MAX_MISSING = 1.5  # largest ratio of the steps that fit the median period to those present, for an even clock
 _DEFAULT_UNITS = {"acc": "m/s2", "gyr": "rad/s", "mag": "uT"}
 _WORLDS = {"NWU": NWU, "ENU": ENU, "NED": NED}
@@ -60,20 +60,20 @@ def checked_sensor(path: Path, raw: RawSensor, given: UserStatements) -> ImuSens
     path : Path
         The file, for messages.
     raw : RawSensor
-        The sensor as the file has it.
+        The sensor as read from the file.
     given : UserStatements
-        What the user states.
+        The user's statements about the file.
 
     Raises
     ------
     SourceError
-        The file contradicts itself, or what the user states.
+        The file contradicts itself or the user's statements.
     """
     return _Checks(path, raw, given).sensor()
 
 
 class _Checks:
-    """The checks of one sensor, with its state."""
+    """The checks and conversions of one sensor, and their intermediate results."""
 
     def __init__(self, path: Path, raw: RawSensor, given: UserStatements) -> None:
         self.path, self.raw, self.set = path, raw, given.sensor_set
@@ -113,13 +113,13 @@ class _Checks:
         )  # fmt: skip
 
     def times(self) -> tuple[F64, float]:
-        """Return the time of every sample in seconds, and samples per second."""
+        """Return the time of every sample in seconds, and the number of samples per second."""
         rate_hz, times = self.raw.rate_hz, self.raw.times
         if times is None:
             rate_hz = rate_hz or self.given_hz
             if rate_hz is None:
                 raise self.error(
-                    f"the file states no rate and no times; give samples a second: --rate HZ, or `rate_hz:` {_WAY_OUT}"
+                    f"the file states no rate and no times; give the rate: --rate HZ, or `rate_hz:` {_WAY_OUT}"
                 )
             self.check_rate(rate_hz)
             steps = np.arange(self.raw.samples) if self.raw.steps is None else self.raw.steps
@@ -166,8 +166,9 @@ class _Checks:
     def acc_factor(self, times: F64, acc: F64, gyr: F64 | None, orientation: F64 | None) -> float:
         """Return the factor that corrects accelerations of unknown unit; raise an error if gravity contradicts a unit.
 
-        Gravity is estimated in three ways: by the mean in the world, at rest, and by the median. A unit is right if any
-        estimate fits it. If no unit is stated, the factor is that of the first unit that fits.
+        Gravity is estimated in three ways: from the median, from the mean in world axes, and from the median at rest.
+        A unit is accepted if any estimate fits it. If no unit is stated, the factor is that of the first unit that
+        fits.
         """
         sizes = _gravity_sizes(times, acc, gyr, orientation)
         if not sizes or any(_fits(size) for size in sizes):
@@ -184,8 +185,8 @@ class _Checks:
             raise self.error(f"{found}; state `units: {{acc: {other}}}` {_WAY_OUT}")
         if stated is None and not any(0.5 <= size / GRAVITY <= 2 for size in sizes):
             raise self.error(
-                f"{found}; are these accelerations without gravity, or in a unit of their own? To read them in spite "
-                f"of this, state `units: {{acc: {unit}}}` {_WAY_OUT}"
+                f"{found}; are these accelerations without gravity, or in an unknown unit? To read them "
+                f"nevertheless, state `units: {{acc: {unit}}}` {_WAY_OUT}"
             )
         self.warnings.append(f"{found}: the sensor moves fast all the time, or its unit is wrong")
         return 1.0
@@ -216,7 +217,7 @@ class _Checks:
         return conjugate(quaternions) if turned else quaternions
 
     def check_rates(self, times: F64, acc: F64 | None, gyr: F64 | None, orientation: F64 | None) -> None:
-        """Raise an error for angular velocities in another unit than stated, or for inverse orientations."""
+        """Raise an error if angular velocities are in another unit than stated, or if orientations are inverse."""
         if gyr is None:
             return
         fastest = float(np.nanmax(np.linalg.norm(gyr, axis=1), initial=0.0))
@@ -266,7 +267,7 @@ class _Checks:
     def world(self, orientation: F64, acc: F64 | None, mag: F64 | None) -> tuple[str, bool]:
         """Return the world of the orientations, and whether it is assumed.
 
-        The user's statement takes precedence, then gravity and the field, then the header.
+        The user's statement takes precedence over gravity and the magnetic field, and these over the file's header.
         """
         stated = self.set.entries.frame
         user, header = _WORLDS.get(stated or ""), self.raw.frame
@@ -297,7 +298,7 @@ class _Checks:
     def turned(
         self, acc: F64 | None, gyr: F64 | None, mag: F64 | None, orientation: F64 | None
     ) -> tuple[F64 | None, F64 | None, F64 | None, F64 | None]:
-        """Return acc, gyr, mag and orientation in the sensor axes that the user states; None stays None."""
+        """Rotate acc, gyr, mag and orientation to the sensor axes that the user states; None stays None."""
         matrix = self.set.matrix()
         if matrix is None:
             return acc, gyr, mag, orientation
@@ -308,7 +309,7 @@ class _Checks:
 
 
 def _gravity_sizes(times: F64, acc: F64, gyr: F64 | None, orientation: F64 | None) -> list[float]:
-    """Return estimates of gravity's magnitude: the median, the mean in the world, and the median at rest."""
+    """Return estimates of gravity's magnitude: the median, the mean in world axes, and the median at rest."""
     sizes = [readings.typical_length(acc)]
     if orientation is not None:
         mean = np.ma.masked_invalid(rotate(orientation, acc)).mean(axis=0).filled(np.nan)
@@ -323,7 +324,7 @@ def _fits(size: float) -> bool:
 
 
 def _median_up(orientation: F64, acc: F64) -> F64:
-    """Return the median of accelerations in the world, (3,); zeros if none is known."""
+    """Return the median (3,) of the accelerations in world axes; zeros if none is known."""
     found = rotate(orientation, acc)
     known = np.isfinite(found).all(axis=1)
     return np.median(found[known], axis=0) if known.any() else np.zeros(3)
@@ -336,7 +337,7 @@ def _first_beyond(values: F64) -> int | None:
 
 
 def _shown_world(orientation: F64, acc: F64 | None, mag: F64 | None) -> str | None:
-    """Return the world that gravity and the magnetic field imply; None if they imply none."""
+    """Return the world axes that gravity and the magnetic field imply; None if they imply none."""
     if acc is not None and _median_up(orientation, acc)[2] < -0.5 * GRAVITY:
         return NED
     found = field_axis(orientation, mag) if mag is not None else ""
@@ -346,9 +347,9 @@ def _shown_world(orientation: F64, acc: F64 | None, mag: F64 | None) -> str | No
 def _measured_rate(times: F64) -> float | None:
     """Return samples per second from times with gaps or jitter; None for a single sample.
 
-    The median step of an even clock is its period, whatever samples are lost. If steps of that length would fill the
-    time between long gaps with half as many samples again as there are, the times jitter or come in bursts, and the
-    mean step is used.
+    The median step of a regular clock is its period, even if samples are lost. If samples at the median step would be
+    more than one and a half times as many as there are between long gaps, the times jitter or come in bursts, and the
+    mean step is used instead.
     """
     steps = np.diff(times)
     if not len(steps):
@@ -363,9 +364,10 @@ def _measured_rate(times: F64) -> float | None:
 def _gaps(
     times: F64, rate_hz: float, parts: tuple[F64 | None, ...], mag: F64 | None
 ) -> tuple[tuple[float, float], ...]:
-    """Return the intervals of more than 50 ms in which a channel is missing; the magnetic field counts only alone.
+    """Return the intervals of more than 50 ms in which a channel is missing.
 
-    Below 30 Hz, intervals must be longer than one and a half steps.
+    Below 30 Hz, intervals must be longer than one and a half steps. The magnetic field is considered only if the sensor
+    has no other channel.
     """
     known = np.ones(len(times), bool)
     present = [part for part in parts if part is not None] or [part for part in (mag,) if part is not None]

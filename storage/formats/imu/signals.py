@@ -1,4 +1,4 @@
-"""Hold the samples of a sensor: as a file has them, and in SI units with orientations in one world."""
+"""Define the samples of a sensor, both as read from a file and in SI units with orientations in one world."""
 
 from __future__ import annotations
 
@@ -21,7 +21,10 @@ UNITS = {
     "mag": {"uT": 1.0, "nT": 0.001, "mT": 1000.0, "gauss": 100.0, "mgauss": 0.1, "1": 1.0},
     "time": {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9},
 }
-"""For each quantity, a dict from unit to its size in m/s², rad/s, µT or s; unit 1 of a field is the local field."""
+"""A dict from each quantity to a dict from unit to its size in m/s², rad/s, µT or s.
+
+The unit 1 of the magnetic field is the local field.
+"""
 
 _SPELLINGS = {
     "m/s^2": "m/s2", "m/(s^2": "m/s2", "m/s²": "m/s2", "m/s/s": "m/s2", "m s-2": "m/s2",
@@ -35,14 +38,14 @@ _SPELLINGS = {
 
 
 def unit_name(text: str, quantity: str) -> str | None:
-    """Return the key of a unit in `UNITS`, "" for an empty text, None for a unit that the quantity does not have."""
+    """Return the key of a unit in `UNITS`; "" for an empty text, None for a unit that is unknown for the quantity."""
     plain = text.strip().strip("()[]").strip().lower()
     plain = _SPELLINGS.get(plain, plain)
     return plain if plain == "" or plain in UNITS[quantity] else None
 
 
 NWU, ENU, NED = "north-west-up", "east-north-up", "north-east-down"
-"""Worlds of orientations, named by their axes X, Y and Z; `ImuSensor.orientation` is in the first, F_GI."""
+"""World frames of orientations, named by their axes X, Y and Z; `ImuSensor.orientation` uses the first, F_GI."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -52,7 +55,7 @@ class ImuSensor:
     Attributes
     ----------
     name : str
-        Its name or number in the file.
+        The sensor's name or number in the file.
     times : float64 array (T,)
         Seconds on the recording's clock, ascending; missing samples leave a gap.
     rate_hz : float
@@ -64,16 +67,17 @@ class ImuSensor:
     mag : float64 array (T, 3) or None
         Magnetic field, in µT where the file states its unit.
     orientation : float64 array (T, 4) or None
-        Unit quaternions w x y z from the sensor to F_GI, as the file has them.
+        Unit quaternions w x y z from the sensor to F_GI, which were computed by the sensor.
     frame : str
-        The world of the file's own quaternions, `NWU`, `ENU` or `NED`; empty without any.
+        The world of the quaternions in the file, `NWU`, `ENU` or `NED`; empty if there are none.
     gaps : tuple of (float, float)
-        Intervals of more than 50 ms without samples, seconds: the last time before and the first one after.
+        Intervals of more than 50 ms without samples: the time of the last sample before and of the first one after the
+        gap, in seconds.
     warnings : tuple of str
         Sentences for the user about irregularities.
     frame_assumed : bool
-        True if `frame` is only assumed: not stated by user or file, shown by the field, or known of a format from real
-        files.
+        True if `frame` is only assumed: user and file do not state it, the magnetic field does not show it, and no real
+        file of the format has confirmed it.
     """
 
     name: str
@@ -101,7 +105,7 @@ class UserStatements:
     Attributes
     ----------
     rate_hz : float or None
-        Samples per second of a file that states neither them nor times.
+        Samples per second of a file that states neither its rate nor times.
     sensor_set : SensorSet
         Limbs, units, axes, worlds and columns.
     """
@@ -112,32 +116,32 @@ class UserStatements:
 
 @dataclass(eq=False)
 class RawSensor:
-    """A sensor as a file has it, before units are converted and values checked.
+    """A sensor as read from a file, before units are converted and values are checked.
 
     Attributes
     ----------
     name : str
-        Its name or number.
+        The sensor's name or number.
     acc, gyr, mag : float64 array (T, 3) or None
-        Its readings, NaN where a cell is empty.
+        The readings; NaN for empty cells.
     orientation : float64 array (T, 4) or None
         Quaternions w x y z.
     times : float64 array (T,) or None
-        Seconds; None for samples that are timed by counter and rate.
+        Times in seconds; None if they follow from the counter and the rate.
     absolute : bool
-        True for times of a clock that started before the recording; they are shifted to begin with the first sample.
+        True if the clock started before the recording; times are then shifted to begin with the first sample.
     steps : int64 array (T,) or None
-        The number of each sample, ascending; None where every sample follows the one before.
+        The number of each sample, ascending; None if no sample is missing.
     wrap : int
         The number at which the counter of `steps` wraps; 0 if it does not.
     rate_hz : float or None
         The rate that the file states.
     units : dict of str to str
-        Quantity → the unit that the file or its format states, a key of `UNITS`; absent where neither does.
+        Quantity → the unit that the file or its format states, a key of `UNITS`; absent if neither states one.
     frame : str
-        The world of the quaternions by the file or its format; empty where neither states it.
+        The world of the quaternions according to the file or its format; empty if neither states it.
     frame_assumed : bool
-        True if `frame` is taken from a manual or from others' code and not confirmed by a real file.
+        True if `frame` is taken from a manual or another program, and no real file has confirmed it.
     lines : int64 array (T,) or None
         The line of each sample, for messages; None for files without lines.
     warnings : list of str
@@ -172,5 +176,5 @@ class RawSensor:
         return None if self.lines is None else int(self.lines[row])
 
     def where(self, row: int) -> str:
-        """Return a sample's position in words for messages, for files without lines."""
+        """Return the position of a sample in words, for messages about files without lines."""
         return "" if self.lines is not None else f"sample {row} (from 0): "

@@ -1,8 +1,8 @@
 """Read tables of sensor data by the names of their columns: CSV with one or more header rows, Parquet and HDF5.
 
-The names known without a description are those of kinedex and common variants: `acc_x`, `accel x`,
-`gyro.y`, `Magnetometer Z (uT)`, `q_w`, `quat_x`, `q0`, with the name of a sensor before them where there are several
-(`left_sensor/acc_x`), and `time_s`, `time (ms)`, `t`. Any other names are given by a file of sensors (`columns:`).
+The column names of kinedex and common variants are known: `acc_x`, `accel x`, `gyro.y`, `Magnetometer Z (uT)`, `q_w`,
+`quat_x`, `q0`, with the name of the sensor before them if there are several sensors (`left_sensor/acc_x`), and
+`time_s`, `time (ms)`, `t`. Other names must be declared in a file of sensors (`columns:`).
 """
 
 from __future__ import annotations
@@ -50,7 +50,7 @@ _CHANNEL = re.compile(
 )
 _TIME = re.compile(r"(?:time|timestamp|t)(?:[\s_]?(?P<unit>s|ms|us|µs|ns|sec|seconds|[(\[].*[)\]]))?", re.IGNORECASE)
 _OTHERS = ("free", "lin", "linear", "user", "global", "world")
-"""Words before a channel's name that mark a derived quantity, not a sensor's reading."""
+"""Words before the name of a channel that mark a derived quantity, not a reading of the sensor."""
 
 _AXES = {"acc": "xyz", "gyr": "xyz", "mag": "xyz", "orientation": "wxyz"}
 
@@ -62,7 +62,7 @@ class Layout:
     Attributes
     ----------
     channels : dict of str to dict
-        Sensor ("" for the only one) → channel → its columns, in the order of its axes.
+        Sensor ("" if there is only one) → channel → its columns, in the order of the axes.
     time, sensor : int or None
         The columns of times and of sensors' names.
     units : dict of str to dict
@@ -78,13 +78,13 @@ class Layout:
     time_unit: str = ""
 
     def columns(self) -> list[int]:
-        """Return the columns of numbers, in the order of channels, then times."""
+        """Return the columns of numbers: those of the channels in order, then that of times."""
         found = [place for parts in self.channels.values() for places in parts.values() for place in places]
         return found + ([] if self.time is None else [self.time])
 
 
 def recognises(path: Path, head: bytes) -> bool:
-    """Return True for a table: by its extension, or by its first bytes."""
+    """Return True for a table, judged by its extension or its first bytes."""
     return path.suffix.lower() in (".csv", ".txt", ".tsv", ".parquet") or head.startswith(b"PAR1")
 
 
@@ -124,7 +124,7 @@ def read(path: Path, given: UserStatements) -> list[RawSensor]:
 
 
 def layout_of(path: Path, header: Sequence[str], given: UserStatements) -> Layout:
-    """Return the columns that are used, by their names or as the file of sensors names them.
+    """Return the columns that are used: those with known names, or those that the file of sensors declares.
 
     Raises
     ------
@@ -192,7 +192,7 @@ def _column(path: Path, name: str) -> tuple[str, str, str, str] | None:
 
 
 def _named(path: Path, header: Sequence[str], columns: Columns) -> Layout:
-    """Return the columns that a file of sensors names."""
+    """Return the columns that a file of sensors declares."""
     places = {name.strip(): place for place, name in reversed(list(enumerate(header)))}
 
     def place(name: str, key: str) -> int:
@@ -207,7 +207,7 @@ def _named(path: Path, header: Sequence[str], columns: Columns) -> Layout:
         names = columns.names(channel)
         if not names:
             continue
-        if len(names) == 1:  # one data set or structure, with a column for each axis
+        if len(names) == 1:  # one data set or structure that has a column for each axis
             joint = next((sep for sep in "/._" if any(name.endswith(f"{sep}{axes[0]}") for name in places)), "/")
             names = tuple(f"{names[0]}{joint}{axis}" for axis in axes)
         for sensor in _sensors(names[0], places):
@@ -217,7 +217,7 @@ def _named(path: Path, header: Sequence[str], columns: Columns) -> Layout:
 
 
 def _sensors(pattern: str, names: Iterable[str]) -> list[str]:
-    """Return the sensors that match {sensor} of a pattern among names, in their order; "" for a pattern without it."""
+    """Return the values of {sensor} in the names that match a pattern, in order; "" for a pattern without {sensor}."""
     if "{sensor}" not in pattern:
         return [""]
     before, _, after = pattern.partition("{sensor}")
@@ -310,7 +310,7 @@ def _parquet(path: Path, given: UserStatements) -> list[RawSensor]:
 
 
 def _numbers(path: Path, table: pa.Table, name: str) -> F64:
-    """Return a column as numbers, NaN for an empty cell."""
+    """Return a column as numbers; an empty cell becomes NaN."""
     column = table.column(name)
     kind = column.type
     if not (pa.types.is_integer(kind) or pa.types.is_floating(kind) or pa.types.is_null(kind)):
@@ -331,9 +331,9 @@ def sensors_of(
     path : Path
         The file.
     layout : Layout
-        Its columns.
+        The columns that are used.
     given : UserStatements
-        What the user states.
+        The user's statements about the file.
     columns : mapping of int to float64 array (rows,)
         The numbers of each column.
     names : sequence of str, optional

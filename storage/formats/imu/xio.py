@@ -1,8 +1,8 @@
-"""Read CSV files of x-io: of x-IMU3 (Inertial, Quaternion, Magnetometer) and of NGIMU (sensors, quaternion).
+"""Read CSV files of the sensors of x-io: x-IMU3 (Inertial, Quaternion, Magnetometer) and NGIMU (sensors, quaternion).
 
 Readings are in degrees per second and g; quaternions are in a separate file and are joined by time.
-The quaternion of NGIMU rotates from the world to the sensor, the conjugate of the usual convention, which x-IMU3
-follows.
+The quaternion of x-IMU3 rotates from the sensor to the world, as usual; that of NGIMU is the conjugate, from the world
+to the sensor.
 """
 
 from __future__ import annotations
@@ -26,12 +26,12 @@ _CLOCKS = {"timestamp (us)": 1e-6, "time (s)": 1.0}
 _QUATERNIONS = (("w element", "x element", "y element", "z element"), ("w", "x", "y", "z"))
 _GYR, _ACC, _MAG = ("gyroscope {} (deg/s)", "accelerometer {} (g)", "magnetometer {} ({})")
 _WORDS = {"Inertial": ("Quaternion", "Magnetometer"), "sensors": ("quaternion",)}
-"""A dict from word in the name of a file of readings to the words in the names of the files that accompany it."""
+"""A dict from the word in the name of a file of readings to the words in the names of the accompanying files."""
 
 
 @dataclass(frozen=True)
 class _Table:
-    """A file with its columns by name, in lower case."""
+    """A file and its columns by name, in lower case."""
 
     path: Path
     header: Sequence[str]
@@ -43,14 +43,14 @@ class _Table:
         return self.rows.numbers[:, 0] * self.tick_s
 
     def columns(self, names: Sequence[str]) -> F64 | None:
-        """Return columns by name; None unless all of them exist."""
+        """Return columns by their names; None unless all of them exist."""
         if not set(names) <= set(self.header):
             return None
         return self.rows.numbers[:, [self.header.index(name) for name in names]]
 
 
 def recognises(path: Path, head: bytes) -> bool:
-    """Return True for a header of a time and gyroscope, or of a time and a quaternion."""
+    """Return True for a header with a time and a gyroscope, or with a time and a quaternion."""
     first = head.split(b"\n", 1)[0].decode("utf-8", "replace").strip("\ufeff\r ").lower()
     clock, _, rest = first.partition(",")
     starts = ("gyroscope x (deg/s)", "w element,", "w,x,y,z", "magnetometer x (")
@@ -68,7 +68,7 @@ def beside(path: Path) -> Path | None:
 
 
 def read(path: Path, given: UserStatements) -> list[RawSensor]:
-    """Read a sensor: a file of readings with the files beside it, or quaternions alone.
+    """Read a sensor from a file of readings and the files that accompany it, or from a file of quaternions alone.
 
     Raises
     ------
@@ -95,7 +95,7 @@ def read(path: Path, given: UserStatements) -> list[RawSensor]:
 
 
 def _join(sensor: RawSensor, table: _Table, near: _Table) -> None:
-    """Join the quaternions or fields of another file by time."""
+    """Add the quaternions or magnetic fields of another file to a sensor, joined by time."""
     if not (np.diff(near.times) > 0).all():
         row = int(np.argmin(np.diff(near.times) > 0)) + 1
         raise SourceError(near.path, "the time must ascend", line=int(near.rows.lines[row]))
@@ -121,7 +121,7 @@ def _set_field(sensor: RawSensor, table: _Table, near: _Table) -> None:
 
 
 def _quaternions(table: _Table) -> F64 | None:
-    """Return quaternions from sensor to world, or None; those of NGIMU, from world to sensor, are conjugated."""
+    """Return quaternions from sensor to world, or None; those of NGIMU, which rotate to the sensor, are conjugated."""
     for names in _QUATERNIONS:
         if (found := table.columns(names)) is not None:
             return conjugate(found) if names == _QUATERNIONS[1] else found
@@ -140,6 +140,6 @@ def _table(path: Path) -> _Table:
 
 
 def _name(path: Path) -> str:
-    """Return the name of a device: its file's name without the word for readings, or its folder's."""
+    """Return the name of a device: the file's name without the word for its contents, or that of the folder."""
     words = "|".join(("Inertial", "Quaternion", "Magnetometer", "sensors", "quaternion"))
     return re.sub(rf"[ _-]*(?:{words})$", "", path.stem) or path.resolve().parent.name

@@ -23,7 +23,7 @@ CHANNELS = {
     "gyr": ("Gyr_X", "Gyr_Y", "Gyr_Z"),
     "mag": ("Mag_X", "Mag_Y", "Mag_Z"),
 }
-"""A dict from channel to the names of its columns."""
+"""A dict from each channel to the names of its columns."""
 
 QUATERNIONS: tuple[tuple[str, ...], ...] = (
     ("Quat_q0", "Quat_q1", "Quat_q2", "Quat_q3"),
@@ -40,16 +40,16 @@ _FAR_FROM_TURN = 0.02
 
 
 class NamedColumns:
-    """The columns of a table by their names.
+    """The columns of a table, which can be read by their names.
 
     Parameters
     ----------
     path : Path
         The file.
     places : mapping of str to int
-        Name → its column in `rows`.
+        Name of a column → its index in `rows`.
     rows : NumberRows
-        The numbers.
+        The numbers of the table.
     """
 
     def __init__(self, path: Path, places: Mapping[str, int], rows: NumberRows) -> None:
@@ -60,7 +60,7 @@ class NamedColumns:
         return self.rows.numbers[:, self.indices[name]]
 
     def channel(self, names: Sequence[str]) -> F64 | None:
-        """Return columns (T, names); None if none of them exists or all are empty.
+        """Return the columns with the given names, (T, names); None if none of them exists or all are empty.
 
         Raises
         ------
@@ -82,7 +82,7 @@ class NamedColumns:
         Raises
         ------
         SourceError
-            Some of their columns are missing, or a matrix is not a rotation.
+            Some columns of quaternions, matrices or angles are missing, or a matrix is not a rotation.
         """
         for names in QUATERNIONS:
             if (found := self.channel(names)) is not None:
@@ -102,8 +102,8 @@ class NamedColumns:
         if off.any():
             row = int(np.flatnonzero(known)[np.argmax(off)])
             raise SourceError(
-                self.path, "Mat[1][1] … Mat[3][3] are no turn: a matrix times its transpose must be 1 to 2 %; export "
-                "quaternions", line=int(self.rows.lines[row]),
+                self.path, "Mat[1][1] … Mat[3][3] are no rotation: a matrix times its transpose must be 1 ± 2 %; "
+                "export quaternions", line=int(self.rows.lines[row]),
             )  # fmt: skip
         found = np.full((len(matrices), 4), np.nan)
         if known.any():
@@ -117,7 +117,7 @@ def named_columns(path: Path, lines: Sequence[str], first: int, separator: str) 
     Raises
     ------
     SourceError
-        There is no known column, one occurs twice, or a row is damaged.
+        There is no known column, a column occurs twice, or a row is damaged.
     """
     header = cells_of(lines[first], separator)
     known = {name for names in (*CHANNELS.values(), *QUATERNIONS) for name in names}

@@ -18,7 +18,7 @@ def write(labels: LabelsOfTake) -> str:
 def read(path: str | Path) -> LabelFile:
     """Read a label track of the take that the file is named after.
 
-    Lines that begin with a backslash give frequencies to the label above them, and are ignored.
+    Lines that begin with a backslash, which give the frequency range of the label above them, are ignored.
 
     Parameters
     ----------
@@ -28,8 +28,8 @@ def read(path: str | Path) -> LabelFile:
     Raises
     ------
     SourceError
-        A line is not a label, has no text, or is a point in time (start = stop), or the file is beyond a limit; the
-        error names the line.
+        A line is not a label, has no text, or is a point in time (start = stop), or the file exceeds a limit of
+        `storage.formats.labels.texts`; the error names the line.
     """
     take, found = Path(path).stem, list[ManualSegment]()
     for line, whole in enumerate(open_lines(path), 1):

@@ -32,9 +32,9 @@ _TYPE = '    <LINGUISTIC_TYPE GRAPHIC_REFERENCES="false" LINGUISTIC_TYPE_ID="cla
 def write(labels: LabelsOfTake) -> str:
     """Return an EAF file: a tier for each class, because annotations of one tier must not overlap.
 
-    Every annotation's value is its class. Errors of limbs have a tier for each limb and annotator, such as `lshank` or
-    `A1:lshank`; it is empty for a limb that was examined without finding an error. Where labels of one tier overlap,
-    the later one is in a further tier, whose name ends in a number.
+    The value of every annotation is its class. Errors of limbs have a tier for each limb and annotator, such as
+    `lshank` or `A1:lshank`; the tier of a limb that was examined without finding an error is empty. If labels of one
+    tier overlap, the later one is moved to a further tier, whose name ends in a number.
     """
     tiers = _tiers(labels.labels)
     for limb, annotator in labels.without_errors:
@@ -64,7 +64,7 @@ def write(labels: LabelsOfTake) -> str:
 
 
 def _tiers(labels: Sequence[Label]) -> dict[str, list[Label]]:
-    """Divide labels into tiers without overlaps; the first tier of a class, or limb, has its name."""
+    """Divide labels into tiers without overlaps; the first tier of a class or limb is named after the class or limb."""
     classes = {_tier_of(one) for one in labels}
     rows: dict[str, list[list[Label]]] = {name: [] for name in sorted(classes)}
     for one in sorted(labels, key=lambda one: (one.start, one.stop)):
@@ -85,7 +85,7 @@ def _tiers(labels: Sequence[Label]) -> dict[str, list[Label]]:
 
 
 def _tier_of(one: Label) -> str:
-    """Return the name of a label's tier: its class, or annotator and limb for the error of a limb."""
+    """Return the name of the tier for a label: its class or, for the error of a limb, annotator and limb."""
     if one.label != ERROR or not one.limb:
         return one.label
     return _limb_tier(one.limb, one.annotator)
@@ -125,7 +125,7 @@ class _Document:
         return SourceError(self.path, message, line=self.parser.CurrentLineNumber if line is None else line)
 
     def doctype(self, *_: object) -> None:
-        raise self.error("has a document type declaration, which an EAF file has no need of; it is not read")
+        raise self.error("has a document type declaration, which an EAF file does not need; it is not read")
 
     def start(self, name: str, given: dict[str, str]) -> None:
         self.depth += 1
@@ -145,7 +145,7 @@ class _Document:
             refuse_many(self.path, len(self.slots) // 2, self.parser.CurrentLineNumber)
             self.slots[self._attribute(name, given, "TIME_SLOT_ID")] = self._time(given)
         elif name == "TIER":
-            # a tier that depends on another one adds details to that one's annotations
+            # a tier that depends on another tier adds details to the annotations of that tier
             own = self._attribute(name, given, "TIER_ID")
             refuse_long(self.path, len(own), self.parser.CurrentLineNumber, "TIER_ID")
             self.tier = None if given.get("PARENT_REF") else own
@@ -193,7 +193,7 @@ class _Document:
         return int(text)
 
     def labels(self) -> LabelFile:
-        """Return the annotations as segments, sorted by time."""
+        """Return the annotations as labelled segments, sorted by time."""
         take = self.take or Path(self.path).stem
         found = sorted((self._segment(take, one) for one in self.annotations), key=lambda one: (one.start, one.stop))
         return LabelFile.of_take(self.path, take, found, self.covered)
@@ -225,7 +225,7 @@ class _Document:
 
 
 def _limb_of_tier(tier: str) -> tuple[str, str]:
-    """Return the annotator and the limb of a tier such as A1:lshank or lshank (2); empty texts where it names none."""
+    """Return the annotator and the limb that a tier names, such as A1:lshank or lshank (2); missing ones are empty."""
     annotator, _, limb = re.sub(r" \([0-9]{1,6}\)$", "", tier).rpartition(":")
     return (annotator.strip(), limb.strip()) if limb.strip() in LIMBS else ("", "")
 
@@ -233,12 +233,12 @@ def _limb_of_tier(tier: str) -> tuple[str, str]:
 def read(path: str | Path) -> LabelFile:
     """Read the annotations of an EAF file.
 
-    An annotation's class is its value, or the name of its tier if the value is empty: so files with a tier for each
-    class and files with one tier of values are both read correctly. An annotation of the value `error` in a tier that
-    is named after a limb, or after an annotator and a limb (`A1:lshank`), is about that limb; such a tier without
-    annotations records that the limb was examined. Tiers that depend on another tier (PARENT_REF) describe its
-    annotations further and are ignored. The take is named by a property that kinedex writes, or else by the file's
-    name.
+    The class of an annotation is its value, or the name of its tier if the value is empty. Both files with a tier for
+    each class and files with one tier for all classes are thus read correctly. An annotation with the value `error` in
+    a tier that is named after a limb, or after an annotator and a limb (`A1:lshank`), is about that limb; such a tier
+    without annotations records that the limb was examined. Tiers that depend on another tier (PARENT_REF) only add
+    details to the annotations of that tier, and are ignored. The take is named by a property that kinedex writes, or
+    else by the name of the file.
 
     Parameters
     ----------
@@ -248,8 +248,8 @@ def read(path: str | Path) -> LabelFile:
     Raises
     ------
     SourceError
-        The file is not XML or not EAF, has a document type declaration (none is processed, no entity is expanded), a
-        time is missing or out of order, or the file is beyond a limit; the error names the line.
+        The file is not XML or not EAF, it has a document type declaration (which is never processed), a time is missing
+        or out of order, or the file exceeds a limit of `storage.formats.labels.texts`; the error names the line.
     """
     data = label_bytes(path)
     parser = expat.ParserCreate()

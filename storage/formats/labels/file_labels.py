@@ -1,4 +1,4 @@
-"""Hold labelled intervals of takes, as label files store them."""
+"""Define the content of label files: labelled intervals of takes."""
 
 from __future__ import annotations
 
@@ -41,14 +41,14 @@ class LabelsOfTake:
     rate_hz : float
         Frames per second of the source file.
     frames : int
-        Frames of the source file.
+        Number of frames of the source file.
     labels : tuple of Label
-        The labels, by start.
+        The labels, sorted by start.
     made : str
-        Time when the labels were made, ISO 8601 in UTC, for formats that carry a date.
+        Time when the labels were made, ISO 8601 in UTC, for formats that store a date.
     covered : tuple of (str, str)
-        Limbs that a person or method has examined, with the annotator; either may be empty. Limbs with labels may be
-        omitted.
+        Pairs of an examined limb and the annotator (a person or a method); either may be empty. Limbs with labels may
+        be omitted.
     """
 
     take: str
@@ -75,7 +75,7 @@ class LabelsOfTake:
 
 @dataclass(frozen=True)
 class ManualSegment:
-    """An interval of a take that a person labelled, with its position in its file.
+    """An interval of a take that a person labelled, and its place in the label file.
 
     Attributes
     ----------
@@ -88,7 +88,7 @@ class ManualSegment:
     stop : float
         Source frame after the last, or second if `in_seconds`.
     path : str
-        The label file; empty if a segment is from none.
+        The label file; empty if the segment is not from a file.
     line : int, optional
         Line in the file, from 1.
     in_seconds : bool
@@ -96,9 +96,9 @@ class ManualSegment:
     place : str
         The element of the file, in formats where line numbers do not help.
     limb : str
-        The limb that the label is about; empty where none is named.
+        The limb that the label is about; empty if the label names none.
     annotator : str
-        The person who made the label; empty where none is named.
+        The person who made the label; empty if the label names none.
     """
 
     take: str
@@ -139,12 +139,11 @@ class LabelFile:
     path : str
         The file.
     takes : tuple of str
-        Names of the takes that were labelled, each once, in the file's order; in a take without segments, nothing was
-        found.
+        Names of the takes that were examined, each once, in the order of the file, including takes without segments.
     segments : tuple of ManualSegment
         The labelled intervals.
     covered : tuple of (str, str, str)
-        Takes and limbs that an annotator has examined without marking an error, with the annotator's name or "".
+        Take, limb and annotator for each limb that was examined without marking an error; the annotator may be "".
     """
 
     path: str
@@ -176,8 +175,8 @@ class LabelFile:
 def is_writable(labels: LabelsOfTake, *, quoted: bool) -> bool:
     """Return whether a file can store the names of a take, its classes, limbs and annotators unchanged.
 
-    Readers remove spaces around names. Formats without quotes cannot store line breaks or characters that XML does not
-    allow.
+    A name must not begin or end with spaces, which readers remove. In formats without quotes, names must not contain
+    line breaks or characters that XML does not allow.
     """
     about = {text for one in labels.labels for text in (one.limb, one.annotator) if text}
     about |= {text for pair in labels.covered for text in pair if text}

@@ -29,8 +29,8 @@ _MAX_BYTES = 180
 def file_names(takes: Sequence[str]) -> list[str]:
     """Return a file name without its extension for each take: the take's name if it is valid on every system.
 
-    Characters that are invisible or forbidden on some system become underscores. A name that was changed, and one that
-    another take already has on a system that ignores case, ends in a tilde and eight digits of its checksum.
+    Characters that are invisible or forbidden on some system become underscores. A tilde and eight digits of a checksum
+    are appended to a name that was changed, or that differs from the name of another take only in case.
     """
     used: set[str] = set()
     names = []
@@ -66,7 +66,7 @@ class Format:
     read : callable
         Reads the labels of a file.
     several : bool
-        True if one file can hold several takes, and names with control characters.
+        True if one file can hold several takes; names in such files may contain control characters.
     limbs : str
         The labels whose limb the format can store: "all", "errors" (those of the class `error`) or "none".
     """
@@ -109,7 +109,7 @@ class Written:
     renamed : dict of str to str
         Take → name of its file, if the take's own name is not a valid file name.
     excluded : tuple of str
-        Takes that the format cannot hold, since their names or those of their classes would be changed on reading.
+        Takes that the format cannot store, since their names or those of their classes would be read back differently.
     """
 
     paths: tuple[Path, ...]
@@ -120,8 +120,9 @@ class Written:
 def read_labels(path: str | Path) -> LabelFile:
     """Read takes and their manual segments from a label file; its extension determines the format.
 
-    In a format without take names, the file's name is the take's. Frames are of the source rate, from 0, and half-open;
-    seconds become the nearest source frame once the take's rate is known (`ManualSegment.source_frames`).
+    In a format without names of takes, the name of the file is that of the take. Intervals are half-open; frames are
+    those of the source file, from 0. Seconds become the nearest source frame once the rate of the take is known
+    (`ManualSegment.source_frames`).
 
     Raises
     ------
@@ -137,7 +138,7 @@ def read_labels(path: str | Path) -> LabelFile:
 def write_labels(
     takes: Sequence[LabelsOfTake], form: str | None, output: str | Path, *, force: bool = False
 ) -> Written:
-    """Write the labels of takes: a file for each into a folder, or one file.
+    """Write the labels of takes, to a folder with a file for each take, or to one file.
 
     Parameters
     ----------
@@ -146,8 +147,9 @@ def write_labels(
     form : str or None
         A key of `FORMATS`, in upper or lower case; None for the format of the file's extension, CSV for a folder.
     output : str or Path
-        A file if its name ends as the format's files do; a folder if it does not, exists as one, or has a slash at its
-        end. Missing folders are made, and the files in them are named after the takes, as far as `file_names` allows.
+        A file or a folder. A path is a file if it has an extension of the format; it is a folder if it has another
+        ending, ends in a slash, or is an existing folder. Missing folders are created, and the files in a folder are
+        named after the takes, as far as `file_names` allows.
     force : bool, optional
         Replace existing files.
 
@@ -159,9 +161,9 @@ def write_labels(
     Raises
     ------
     KinedexError
-        The format is unknown, files exist already (none is written then), a file of a format for one take would get
-        several, the format can store none of the takes, or cannot store the limb of a label, or a file cannot be
-        written.
+        The format is unknown; files exist already, in which case none is written; several takes are to be written to a
+        file whose format stores one take; the format can store none of the takes, or cannot store the limb of a label;
+        or a file cannot be written.
     """
     folder = str(output).endswith("/") or os.path.isdir(output)
     kind = _format(form, output, folder)
@@ -171,9 +173,9 @@ def write_labels(
     excluded = tuple(labels.take for labels in takes if labels.take not in inside)
     if excluded and not writable:
         raise KinedexError(
-            f"a file of {FORMATS[kind].title} cannot hold {excluded[0]!r}: it would not give back the name of the take "
-            "or of a class; a name must not be empty, begin or end with a space, or (but in CSV and JSON) have control "
-            "characters in it"
+            f"a file of {FORMATS[kind].title} cannot hold {excluded[0]!r}: the name of the take or of a class would "
+            "be read back differently; a name must not be empty, begin or end with a space, or (except in CSV and "
+            "JSON) contain control characters"
         )
     writable = _with_limbs(writable) if FORMATS[kind].limbs == "errors" else writable
     targets = _targets(writable, kind, Path(output), folder)
@@ -196,7 +198,7 @@ def write_labels(
 
 
 def _with_limbs(takes: Sequence[LabelsOfTake]) -> list[LabelsOfTake]:
-    """Return labels that list an annotator of a whole take for each limb that occurs in any of the labels."""
+    """Return labels that list an annotator of a whole take for each limb that occurs in any of the labels' takes."""
     limbs = {one.limb for labels in takes for one in labels.labels if one.label == ERROR}
     limbs |= {limb for labels in takes for limb, _ in labels.covered}
     return [

@@ -1,4 +1,4 @@
-"""Read and write label files as tables: CSV with a header, like ground truth, and rows in JSON."""
+"""Read and write label files that are tables: CSV with a header, as used for ground truth, and JSON."""
 
 from __future__ import annotations
 
@@ -32,15 +32,15 @@ OPTIONAL = ("limb", "annotator")
 
 _WRITTEN = ("take", "class", "subclass", *FRAMES, *SECONDS, "cost", "confidence")
 _MAX_DIGITS = 15
-_MAX_VALUES = 4 * MAX_LABELS  # most lists and objects of a JSON file; they take far more memory than their text
+_MAX_VALUES = 4 * MAX_LABELS  # lists and objects in a JSON file; they take far more memory than their text
 
 
 def write_csv(takes: Sequence[LabelsOfTake]) -> str:
     """Return a CSV file of the labels of takes; start and stop are source frames, half-open, as in ground truth.
 
-    A take without labels has a row with only its name; a limb that was examined without finding an error has a row of
-    take, limb and annotator. The columns limb and annotator exist if any label has one. Names that a spreadsheet would
-    evaluate are guarded (`csv_line`).
+    A take without labels has a row with only its name. A limb that was examined without finding an error has a row with
+    take, limb and annotator only. The columns limb and annotator exist if any label has a value for them. An apostrophe
+    is put before names that a spreadsheet would evaluate (`csv_line`).
     """
     rows = [
         {"take": labels.take, **row}
@@ -93,13 +93,12 @@ def _rows(labels: LabelsOfTake) -> Iterator[dict[str, object]]:
 def read_csv(path: str | Path) -> LabelFile:
     """Read a CSV file with a header and the columns take, class, start, stop.
 
-    The columns limb and annotator are optional; further columns are ignored.
+    The columns limb and annotator are optional; further columns are ignored. Separator, encoding and decimal comma are
+    recognised as in `storage.formats.csv_tables`, so that files of Excel can be read.
 
-    Separator, encoding and decimal comma are those of `storage.formats.csv_tables`, so that files of Excel are read.
-
-    start and stop are frames of the source rate, from 0, and half-open; a file that has neither of them may have
-    start_seconds and stop_seconds instead. A row with a take, and neither class nor start nor stop, records that the
-    take was examined; with a limb or an annotator, that this limb was, or by this person.
+    Intervals are half-open, in frames of the source file from 0; a file without start and stop may have start_seconds
+    and stop_seconds instead. A row with a take but without class, start and stop records that the take was examined. If
+    such a row also has a limb, only the limb was examined; if it has an annotator, by that person.
 
     Parameters
     ----------
@@ -110,7 +109,7 @@ def read_csv(path: str | Path) -> LabelFile:
     ------
     SourceError
         A column is missing, a name is empty, a frame is not an integer, a segment does not end after its start, or the
-        file is beyond a limit; the error names the line.
+        file exceeds a limit of `storage.formats.labels.texts`; the error names the line.
     """
     rows = list(_csv_rows(str(path), CsvTable.of(path, label_bytes(path))))
     segments = tuple(one for one in rows if isinstance(one, ManualSegment))
@@ -120,7 +119,7 @@ def read_csv(path: str | Path) -> LabelFile:
 
 
 def _csv_rows(path: str, table: CsvTable) -> Iterator[ManualSegment | tuple[str, str, str]]:
-    """Yield the segment of each row; of a row without one, yield take, limb and annotator."""
+    """Yield the segment of each row; for a row without a segment, yield take, limb and annotator."""
     header = table.header
     if not header:
         raise SourceError(path, f"is empty; expected a header with {', '.join(COLUMNS)}", line=1)
@@ -173,9 +172,9 @@ def _second(path: str, line: int, name: str, text: str) -> float:
 def read_json(path: str | Path) -> LabelFile:
     """Read {"takes": [{"take": …, "segments": [{"class": …, "start": …, "stop": …}]}]}; further keys are ignored.
 
-    start and stop are source frames, half-open; a segment that has neither may have start_seconds and stop_seconds. It
-    may have a limb and an annotator, both texts. A take may have a list "without_errors" of objects with limb,
-    annotator or both: limbs that were examined without marking an error.
+    Intervals are half-open, in source frames; a segment without start and stop may have start_seconds and stop_seconds
+    instead. A segment may also have the texts limb and annotator. A take may have a list "without_errors" of the limbs
+    that were examined without marking an error: objects with limb, annotator or both.
 
     Parameters
     ----------
@@ -185,7 +184,7 @@ def read_json(path: str | Path) -> LabelFile:
     Raises
     ------
     SourceError
-        The file is not JSON (the error names the line), or an element is invalid (the error names it:
+        The file is not JSON (the error names the line), or an element is invalid (the error names the element, such as
         "takes[0].segments[3]").
     """
     text = read_text(path)
@@ -246,7 +245,7 @@ def _unicode(path: str | Path, text: str, place: str) -> str:
     try:
         text.encode()
     except UnicodeEncodeError:
-        raise SourceError(path, f"{place} has half a character in it (\\ud800 to \\udfff)") from None
+        raise SourceError(path, f"{place} has half of a character in it (\\ud800 to \\udfff alone)") from None
     return text
 
 

@@ -25,7 +25,7 @@ _TAKE = "kinedex take: "
 
 
 def write(labels: LabelsOfTake) -> str:
-    """Return a WebVTT file: a numbered cue for each label, and the take's name in a note."""
+    """Return a WebVTT file with a numbered cue for each label, and the take's name in a note."""
     blocks = ["WEBVTT\n", f"NOTE\n{_TAKE}{_escaped(labels.take)}\n"]
     blocks += [
         f"{number}\n{_clock(labels.milliseconds(one.start))} --> {_clock(labels.milliseconds(one.stop))}\n"
@@ -36,7 +36,7 @@ def write(labels: LabelsOfTake) -> str:
 
 
 def read(path: str | Path) -> LabelFile:
-    """Read the cues of a WebVTT file: their text, without tags, is the class; each line of a cue is a label.
+    """Read the cues of a WebVTT file; each line of a cue is a label, whose class is the text without tags.
 
     The take is named by a note that kinedex writes, or else by the file's name. Other notes, styles and
     regions are ignored.
@@ -49,8 +49,8 @@ def read(path: str | Path) -> LabelFile:
     Raises
     ------
     SourceError
-        The first line is not WEBVTT, a cue has no times or no text, times are out of order, or the file is beyond a
-        limit; the error names the line.
+        The first line is not WEBVTT, a cue has no times or no text, times are out of order, or the file exceeds a limit
+        of `storage.formats.labels.texts`; the error names the line.
     """
     take, found = Path(path).stem, list[ManualSegment]()
     for line, block in _blocks(path, open_lines(path)):
@@ -64,7 +64,7 @@ def read(path: str | Path) -> LabelFile:
 
 
 def _blocks(path: str | Path, lines: Iterator[str]) -> Iterator[tuple[int, list[str]]]:
-    """Yield the number of the first line, and the lines, of every block between blank lines."""
+    """Yield, for every block between blank lines, the number of its first line and its lines."""
     block = [next(lines, "").removesuffix("\n")]
     if not re.fullmatch(r"WEBVTT(?:[ \t].*)?", block[0]):
         raise SourceError(path, "is no WebVTT file: its first line must be WEBVTT", line=1)

@@ -192,7 +192,7 @@ def test_hdf5_files_that_are_damaged_are_refused_before_and_by_the_library(tmp_p
     whole = path.read_bytes()
     for data, message in (
         (whole[:-100], "is cut off"),
-        (whole[:8] + b"\x09" + whole[9:], "has a header that is damaged, of the version 9"),
+        (whole[:8] + b"\x09" + whole[9:], "has a damaged header, with the version 9"),
         (whole[:200] + b"\xff" * 600 + whole[800:], "is damaged"),
     ):
         path.write_bytes(data)
