@@ -1,4 +1,4 @@
-"""The content of the annotation report, read from the results of a store, and the commands that make it again."""
+"""Read the content of the annotation report from the results of a store, with the commands that repeat the run."""
 
 from __future__ import annotations
 
@@ -48,7 +48,7 @@ ROLES = {
     "ground_truth": "evaluation",
     "metrics": "evaluation",
 }
-"""A dict from kind of result to the input of the stage `report` that made it."""
+"""A dict from kind of result to the role (the input of the stage `report`) of the stage that made it."""
 
 BOOKKEEPING = {"uses", "params", "inputs", "fingerprint_parts", SUMS}
 """The keys that the runner adds to the summary of a stage."""
@@ -73,15 +73,15 @@ def read_report_data(
     pipeline : str
         Pipeline whose results are reported.
     created : datetime
-        Time of the page.
+        Time at which the page is made.
     inputs : mapping of str to str
         Input of the stage `report` → the stage whose results are reported.
     title : str or None
-        Title of the page; None derives one from the name of the archive.
+        Title of the page; if None, it is derived from the name of the archive.
     own_stage : str or None
-        The stage that reads; its record is omitted.
+        The stage that writes the page; its record is omitted.
     curves_take : str or None
-        Take whose distance curves are shown; for None, the take with the median F (frames).
+        Take whose distance curves are shown; if None, the take with the median F (frames).
 
     Returns
     -------
@@ -161,7 +161,7 @@ class Reader:
         self._inputs = inputs
 
     def table(self, kind: str, role: str | None = None) -> pa.Table:
-        """Return the rows of a kind of result, stored by the stage of `role`, or by that of its role in `ROLES`."""
+        """Return the rows of a kind of result from the stage with a role, by default that of the kind in `ROLES`."""
         return self._store.result(kind, stage=f"{self._pipeline}/{self._inputs.get(role or ROLES[kind])}")
 
     def frame(self, kind: str) -> pl.DataFrame:
@@ -169,7 +169,7 @@ class Reader:
         return data_frame(self.table(kind))
 
     def other_annotations(self, own: pl.DataFrame) -> tuple[str | None, pl.DataFrame | None]:
-        """Return method and annotations of the last other stage that annotated the same takes by another method."""
+        """Return the method and annotations of the last stage that annotated the same takes by another method."""
         method, takes = set(own["method"]), set(self.frame("annotated_takes")["take"])
         mine = f"{self._pipeline}/{self._inputs.get('annotations')}"
         stages = [record for key, record in self._store.manifest.stages.items() if key != mine]
@@ -184,13 +184,13 @@ class Reader:
         return None, None
 
     def curves(self, columns: str, take: str | None = None) -> pa.Table:
-        """Return some columns of the distance curves of all takes or of one; all columns would be large."""
+        """Return some columns of the distance curves of one take or of all; all columns would need much memory."""
         annotate = self.record("annotations")
         chosen = f"SELECT {columns} FROM distance_curves WHERE run = $run AND ($take IS NULL OR take = $take)"
         return self._store.sql(chosen, {"run": annotate.run if annotate else "", "take": take})
 
     def records(self) -> tuple[StageRow, ...]:
-        """Return the stages of the pipeline, each after its inputs, otherwise in the order in which they finished."""
+        """Return the stages of the pipeline in the order in which they finished, but each after its inputs."""
         stages = self._store.manifest.stages
         own = [record for key, record in stages.items() if key.startswith(f"{self._pipeline}/")]
         waiting = sorted(own, key=lambda record: (record.finished, record.run, record.stage))
@@ -225,7 +225,7 @@ def _scores(reader: Reader, role: str) -> tuple[Score, ...]:
 
 
 def _subclasses(pairs: pl.DataFrame, annotations: pl.DataFrame) -> dict[str, tuple[str, ...]]:
-    """Return the subclasses of each class: all, or only those with annotations if no curves are stored."""
+    """Return all subclasses of each class, or only those with annotations if no curves are stored."""
     columns = ["class", "subclass"]
     both = pl.concat([pairs.select(columns), annotations.select(columns)]).drop_nulls().unique().sort(columns)
     return {str(label): tuple(group["subclass"]) for (label,), group in both.group_by("class", maintain_order=True)}
@@ -248,7 +248,7 @@ def _warnings(takes: pl.DataFrame) -> tuple[tuple[str, str], ...]:
 
 
 def _automatic(frame: pl.DataFrame, others: pl.DataFrame | None) -> tuple[TakeSegment, ...]:
-    """Return annotations as segments, with the classes that another method found instead where it disagrees."""
+    """Return annotations as segments; if another method disagrees about a segment, it has the classes found instead."""
     found: dict[str, list[tuple[str, int, int]]] = {}
     for take, *one in others.select("take", "class", "start", "stop").iter_rows() if others is not None else ():
         found.setdefault(take, []).append(tuple(one))
@@ -393,9 +393,9 @@ def _version(package: str) -> str:
 def command(pipeline: str, store_path: Path, records: Sequence[StageRow]) -> str:
     """Return the shell commands that repeat the last run of a pipeline in a new store beside this one.
 
-    For a shipped pipeline it is `kinedex run` with every parameter that differs from the file, which does not need the
-    store. Otherwise the first command writes a pipeline file from the store's history, because the original file may be
-    gone, and the second one runs it.
+    For a shipped pipeline, the command is `kinedex run` with every parameter that differs from the pipeline file; it
+    does not need the store. For other pipelines, the first command writes a pipeline file from the history of the
+    store, because the original file may no longer exist, and the second command runs this file.
 
     Parameters
     ----------
@@ -416,7 +416,7 @@ def command(pipeline: str, store_path: Path, records: Sequence[StageRow]) -> str
 
 
 def _is_shipped(run: PipelineRun) -> bool:
-    """Return whether a run has used a shipped pipeline file and nothing that only its store has."""
+    """Return whether a run used a shipped pipeline file and no mappings or other data that only its store has."""
     if run.files or run.mappings or run.other_sources or run.labels:
         return False
     try:

@@ -1,4 +1,4 @@
-"""The page about the annotation of an archive, one self-contained HTML file."""
+"""Render the page about the annotation of an archive as one self-contained HTML file."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ from kinedex.reports.take_selection import Choice, choose_takes, findings_of
 from kinedex.reports.timelines import HEIGHT, CurveFigure, Timeline, curve_figure, overlap, timeline, y_ticks
 
 DELTA_SHOWN = 0.05
-"""The δ of the quantised view if the δ of the annotation is not stored."""
+"""The δ with which templates are quantised on the page if the δ of the annotation is not stored."""
 
 ROWS = 500
 """Largest number of rows of a table or list; the page states how many more there are."""
@@ -49,7 +49,7 @@ CARDS = 16
 
 @dataclass(frozen=True)
 class Gaps:
-    """Classes that only the ground truth, or only the templates, have."""
+    """Classes that occur only in the ground truth, or only among the templates."""
 
     without_template: tuple[str, ...]
     without_manual: tuple[str, ...]
@@ -63,7 +63,7 @@ def shown_takes(data: ReportData, takes: Sequence[str] | None = None, max_takes:
 
 
 def hits_to_play(data: ReportData) -> list[TakeSegment]:
-    """Return the segments that a page must play: moving figures of its first screen, and the first to be reviewed."""
+    """Return the segments that a page must play: those on its first screen, and the first ones to be reviewed."""
     return [*surest(data.automatic), *most_doubtful(data.automatic), *in_order(data.automatic)[:LOOKS]]
 
 
@@ -82,9 +82,9 @@ def annotation_page(
     data : ReportData
         The content.
     takes : sequence of str or None
-        Takes whose timelines are shown; None chooses by F (frames), or without ground truth as `choose_takes` does.
+        Takes whose timelines are shown; if None, `choose_takes` chooses them.
     max_takes : int
-        Largest number of timelines where they are chosen.
+        Largest number of timelines if takes are chosen.
     motions : EmbeddedMotions or None
         Motions of the player; None for a page without player.
     near : mapping of (take, class, start, stop) to int, or None
@@ -130,7 +130,7 @@ def annotation_page(
 
 
 def class_slots(data: ReportData) -> dict[str, int]:
-    """Return the colour of each class, in the order of `data.labels()`; classes that occur get the first colours."""
+    """Return the number of the colour of each class, in the order of `data.labels()`; classes that occur come first."""
     labels = data.labels()
     occurring = {segment.label for segment in (*data.automatic, *data.manual)}
     ordered = sorted(labels, key=lambda label: label not in occurring)
@@ -201,7 +201,7 @@ def _figures(data: ReportData, slots: Mapping[str, int], choice: Choice, near: M
 
 
 def confirmations(data: ReportData) -> dict[Key, bool] | None:
-    """Return for each automatic segment whether the ground truth has its class there; None without ground truth."""
+    """Return, for each automatic segment, whether ground truth of its class overlaps it; None without ground truth."""
     judged = set(data.take_scores()) | {one.take for one in data.manual}
     if not judged:
         return None
@@ -213,7 +213,7 @@ def confirmations(data: ReportData) -> dict[Key, bool] | None:
 
 
 def confusion_of(data: ReportData, labels: Sequence[str]) -> ConfusionTable | None:
-    """Lay out the confusion of classes over the takes with ground truth; None without any."""
+    """Lay out the confusion matrix of the takes with ground truth; None if there are no such takes."""
     judged = set(data.take_scores()) | {one.take for one in data.manual}
     automatic, manual = by_take(data.automatic), by_take(data.manual)
     takes = [
@@ -241,7 +241,7 @@ def timelines_of(
 
 
 def curves_of(data: ReportData, slots: Mapping[str, int]) -> CurveFigure | None:
-    """Lay out the distance curves, None where the data has none."""
+    """Lay out the distance curves; None if the data has none."""
     rows = {take.name: take for take in data.takes}
     if data.curves_take is None or not data.curves or data.curves_take not in rows:
         return None
@@ -266,14 +266,14 @@ def by_take(segments: Sequence[TakeSegment]) -> dict[str, list[TakeSegment]]:
 
 
 def weakest_classes(data: ReportData) -> list[Score]:
-    """Return the classes with the lowest F (frames), lowest first; none where there are few or all are perfect."""
+    """Return the classes with the lowest F (frames), lowest first; empty if there are few or all are perfect."""
     scored = [score for score in data.scores_of(data.evaluation, "class") if score.f1 is not None]
     ranked = sorted(scored, key=lambda score: (score.f1, score.name))
     return [score for score in ranked[:3] if score.f1 != 1] if len(ranked) > 3 else []
 
 
 def lowest_scores(scores: Sequence[Score], count: int) -> list[Score]:
-    """Return all scores if they are few, else those with the lowest F (frames), in their order."""
+    """Return all scores if there are few, otherwise those with the lowest F (frames); their order is kept."""
     if len(scores) <= count:
         return list(scores)
     ranked = sorted(scores, key=lambda score: (score.f1 is None, score.f1, score.name))[:count]
@@ -282,7 +282,7 @@ def lowest_scores(scores: Sequence[Score], count: int) -> list[Score]:
 
 
 def folds_without_training(data: ReportData) -> list[str]:
-    """Return the folds from which no clip was learned, so that their templates are learned from all clips."""
+    """Return the folds without training clips, whose templates are learned from all clips."""
     if not data.learned_from:
         return []
     return [score.name for score in data.scores_of(data.held_out, "fold") if score.name not in data.learned_from]

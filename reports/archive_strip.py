@@ -1,4 +1,4 @@
-"""Lay out an archive on one time axis, with its takes end to end: a strip of all classes, and a lane for each class."""
+"""Lay out an archive on one time axis, with its takes end to end, as a strip of all classes and a lane per class."""
 
 from __future__ import annotations
 
@@ -18,10 +18,10 @@ BINS = 1000
 """Number of columns of the axis; it does not depend on the length of the archive, so that pages stay small."""
 
 STEPS = 10
-"""Number of heights of a column, which shows its share of labelled frames in tenths."""
+"""Number of heights that a column can have; the height shows its share of labelled frames, in tenths."""
 
 MAX_NAMED = 2000
-"""Maximum number of takes whose names the page shows at the pointer; with more takes, it has no names."""
+"""Maximum number of takes for which the page shows names at the pointer; with more takes, it shows none."""
 
 
 @dataclass(frozen=True)
@@ -52,12 +52,12 @@ class ArchiveStrip:
     bands : tuple of Band
         The groups of takes; empty without groups.
     strip : tuple of Area
-        All classes on top of each other: a column has the colour of the class with the most frames in it, and the
-        height of the fraction of frames that have a label.
+        The columns of all classes together. A column has the colour of the class with the most frames in it; its height
+        is the fraction of frames that have a label.
     lanes : tuple of Area
-        The columns of each class by itself; classes without a segment have none.
+        The columns of each class; classes without a segment have no lane.
     takes : tuple of (str, float, float)
-        Name, place and width in percent of each take; empty where there are too many.
+        Name, place and width in percent of each take; empty if there are too many takes.
     """
 
     bands: tuple[Band, ...]
@@ -107,13 +107,13 @@ def archive_strip(takes: Sequence[TakeRow], segments: Sequence[TakeSegment], slo
 
 
 def _shares(ranges: Sequence[tuple[int, int]], total: int) -> F64:
-    """Return the fraction of the frames of each column that lie in ranges of a class, float64 (BINS,)."""
+    """Return, for each column, the fraction of its frames that are in the given ranges, float64 (BINS,)."""
     own = np.array(ranges, np.int64).reshape(-1, 2)
     own = own[np.argsort(own[:, 0], kind="stable")]
     begins = np.maximum(own[:, 0], np.concatenate(([0], np.maximum.accumulate(own[:, 1])[:-1])) if len(own) else 0)
     lengths = np.maximum(own[:, 1] - begins, 0)
     begins, lengths = begins[lengths > 0], lengths[lengths > 0]
-    # labelled frames before each edge of a column: linear within a segment, constant between two
+    # number of labelled frames before each edge of a column: linear within a segment, constant between segments
     corners = np.stack([begins, begins + lengths], axis=1).ravel()
     before = np.cumsum(lengths) - lengths
     counts = np.stack([before, before + lengths], axis=1).ravel()
@@ -140,7 +140,7 @@ def _strip(shares: Mapping[str, F64], slots: Mapping[str, int]) -> list[Area]:
 
 
 def _area(label: str, slot: int, heights: I64) -> Area:
-    """Return the outline of columns, in which neighbours of equal height are one rectangle."""
+    """Return the outline of columns; adjacent columns of equal height are drawn as one rectangle."""
     cuts = np.flatnonzero(np.diff(heights)) + 1
     starts, stops = [0, *cuts.tolist()], [*cuts.tolist(), len(heights)]
     parts = [

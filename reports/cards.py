@@ -1,4 +1,4 @@
-"""Cards that show templates on a page: two images, a time axis, the origin, and the convergence of learning."""
+"""Draw the cards of templates on a page: two images, a time axis, the origin, and the convergence of learning."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ class Card:
 
 
 def card(template: Template, delta: float, rate_hz: float) -> Card:
-    """Draw a template, as learned and quantised with δ; its columns are frames of the analysis rate."""
+    """Draw a template both as learned and quantised with δ; columns are frames at the analysis rate."""
     frames = int(template.values.shape[0])
     seconds = in_seconds(frames, rate_hz)
     share = wildcard_share(template.values, delta)
@@ -51,7 +51,7 @@ def card(template: Template, delta: float, rate_hz: float) -> Card:
 
 
 def origin(template: Template) -> str:
-    """Describe a template's origin: the numbers of clips and rounds of averaging for learned ones, else its source."""
+    """Describe the origin of a template: its source or, if learned, the numbers of clips and averaging steps."""
     if not template.origin.startswith("learned"):
         return template.origin
     text = f"{counted(len(template.clips), 'clip')}, {counted(template.rounds, 'round')} of averaging"
@@ -73,13 +73,13 @@ def readable(name: str) -> str:
 
 
 WIDTH, HEIGHT = 132, 36
-_MIN_COST, _MAX_COST = 1e-3, 1.0  # the ends of the logarithmic scale; lower costs are drawn at the lower end
+_MIN_COST, _MAX_COST = 1e-3, 1.0  # ends of the logarithmic scale; costs below it are drawn at the lower end
 _LEFT, _RIGHT, _TOP, _BOTTOM = 4, 128, 4, 32
 
 
 @dataclass(frozen=True)
 class Trace:
-    """The geometry of one plot: the path, a dot (x, y, text) per round, and the height of the threshold."""
+    """The geometry of one plot: the path, a dot (x, y, text) per iteration, and the height of the threshold."""
 
     path: str
     dots: tuple[tuple[float, float, str], ...]
@@ -88,7 +88,7 @@ class Trace:
 
 
 def trace(costs: Sequence[float]) -> Trace | None:
-    """Lay out the costs before each round and after the last; None if no clips were averaged."""
+    """Lay out the costs before each iteration of averaging and after the last; None if no clips were averaged."""
     if len(costs) < 2:
         return None
     step = (_RIGHT - _LEFT) / (len(costs) - 1)

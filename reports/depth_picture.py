@@ -1,4 +1,4 @@
-"""The picture of one frame of a depth camera: its foreground, its graph and its geodesic extrema."""
+"""Draw one frame of a depth camera, with its foreground, its graph and its geodesic extrema."""
 
 from __future__ import annotations
 

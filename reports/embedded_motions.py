@@ -23,13 +23,13 @@ from kinedex.storage.snapshot.parts import joint_positions
 from kinedex.storage.store.store import Store
 
 MAX_BYTES = 12_000_000
-"""Largest size of the motions of a page unless more are requested; the page then has less than 20 MB."""
+"""Largest size in bytes of the motions of a page, unless more are requested; pages then have less than 20 MB."""
 
 MARGIN = 15
-"""Frames before and after an interval of a take that is not embedded as a whole."""
+"""Number of frames that are embedded before and after an interval of a take that is not embedded as a whole."""
 
 FINEST_M = 0.002
-"""The unit of coordinates in metres, a quarter of a pixel of the player, unless a take needs a greater one."""
+"""The unit of coordinates in metres, a quarter of a pixel of the player; a take may need a larger unit."""
 
 UNSEEN = -32_768
 """The number that stands for an unknown coordinate."""
@@ -45,16 +45,16 @@ Embed = Literal["auto", "all", "none"] | list[str]
 
 @dataclass(frozen=True)
 class EmbeddedMotion:
-    """A take, or a piece of one, in the form that the player reads.
+    """A take, or a piece of a take, in the form that the player reads.
 
     Attributes
     ----------
     take : str
         Name of the take.
     first, frames : int
-        The first analysis frame, and the number of them.
+        The first analysis frame, and the number of analysis frames.
     total : int
-        Analysis frames of the take.
+        Number of analysis frames of the whole take.
     step : int
         Every step-th frame is stored.
     rate_hz : float
@@ -82,17 +82,17 @@ class EmbeddedMotions:
 
     Attributes
     ----------
-    motions : tuple of Motion
+    motions : tuple of EmbeddedMotion
         Takes and pieces of takes.
     joints : tuple of str
         The joints in their order.
     parents : tuple of int
-        The joint that each one hangs from, −1 for none.
+        The index of the parent of each joint, −1 for none.
     remark : str
         A sentence about the takes that are embedded.
     near : tuple of (int, tuple of int)
-        Nearest examples: the index of a motion, and its analysis frames at the stored frames of the interval, the
-        first one and the difference from each to the next.
+        Nearest examples. Each has the index of a motion, and the analysis frames of that motion at the stored frames of
+        the interval: the first frame, then the differences between successive frames.
     """
 
     motions: tuple[EmbeddedMotion, ...]
@@ -103,7 +103,7 @@ class EmbeddedMotions:
 
     @classmethod
     def none(cls, store: Store) -> EmbeddedMotions:
-        """Return no motions, of the joints of a store that the player draws."""
+        """Return an empty collection with the joints of a store that the player draws."""
         joints = tuple(joint for joint in store.feature_set.joints if joint in JOINT_PARENTS)
         return cls((), joints, parents_of(joints), "")
 
@@ -112,7 +112,7 @@ class EmbeddedMotions:
         return self._find(take, start, stop) is not None
 
     def _find(self, take: str, start: int, stop: int) -> int | None:
-        """Return the index of the motion that covers an interval, None for none."""
+        """Return the index of a motion that covers an interval; None if there is none."""
         return next(
             (
                 place
@@ -142,9 +142,9 @@ class EmbeddedMotions:
         intervals : iterable of (take, start, stop)
             The intervals; those that can be played already are skipped.
         margin : int
-            Frames to add before and after each.
+            Number of frames to add before and after each interval.
         most : int or None
-            Bytes that all motions of the page may take; the first intervals that fit are added. None for no limit.
+            Largest size in bytes of all motions of the page; the first intervals that fit are added. None for no limit.
         """
         missing = {one: None for one in intervals if not self.has(*one)}
         packed = dict(_pieces(store, self.joints, list(missing), margin))
@@ -158,7 +158,7 @@ class EmbeddedMotions:
         return replace(self, motions=tuple(found))
 
     def with_near(self, store: Store, examples: Iterable[tuple[str, int, int, I64]]) -> EmbeddedMotions:
-        """Return the motions with nearest examples, each as take, start, stop and frames relative to the start."""
+        """Add nearest examples, each given as take, start, stop and frames relative to the start."""
         examples = list(examples)
         found = self.with_pieces(store, (one[:3] for one in examples), margin=0)
         near = []
@@ -169,7 +169,7 @@ class EmbeddedMotions:
         return replace(found, near=tuple(near))
 
     def beside(self, motions: Sequence[EmbeddedMotion]) -> EmbeddedMotions:
-        """Return the motions with others over the same frames, each added as an example that is played beside."""
+        """Add other motions over the same frames, as examples that are played beside these motions."""
         first = len(self.motions)
         near = ((first + i, (0, *[PACKED_STEP] * (-(-one.frames // PACKED_STEP) - 1))) for i, one in enumerate(motions))
         return replace(self, motions=(*self.motions, *motions), near=(*self.near, *near))
@@ -189,17 +189,18 @@ def embed(
     store : Store
         The store of the takes.
     takes : sequence of str, or mapping of str to sequence of str
-        The takes with a timeline, in the order of the page; a mapping gives the takes of the store that each one joins.
+        The takes with a timeline, in the order of the page. A mapping gives, for each of them, the takes of the store
+        of which it is composed.
     wanted : {"auto", "all", "none"} or list of str
-        "auto" packs as many takes, from the first, as fit into `MAX_BYTES`; a list packs these.
+        "auto" packs as many of the first takes as fit into `MAX_BYTES`; a list names the takes to pack.
     stage : str
-        Stage whose parameter `wanted` is, for the remark.
+        Name of the stage that has the parameter `wanted`, for the remark.
     progress : callable
         Makes a progress bar of a description and a number of takes.
 
     Returns
     -------
-    Motions
+    EmbeddedMotions
         The packed motions.
 
     Raises
@@ -230,12 +231,12 @@ def embed(
 
 
 def parents_of(joints: Sequence[str]) -> tuple[int, ...]:
-    """Return the index of the parent of each joint, -1 where there is none among them."""
+    """Return the index of the parent of each joint; −1 if the parent is not among the joints."""
     return tuple(joints.index(parent) if (parent := JOINT_PARENTS[joint]) in joints else -1 for joint in joints)
 
 
 def _whole(store: Store, joints: Sequence[str], takes: Mapping[str, Sequence[str]]) -> Iterator[EmbeddedMotion]:
-    """Yield the motions of takes, each with the takes of the store that were concatenated for it."""
+    """Yield the motion of each take, concatenated from the takes of the store of which it is composed."""
     names = list(takes)
     for first in range(0, len(names), _TOGETHER):
         some = names[first : first + _TOGETHER]
@@ -273,9 +274,9 @@ def pack(
     rate_hz : float
         Frames per second.
     first : int
-        Frame of the take that the piece begins with.
+        Frame of the take at which the piece begins.
     total : int or None
-        Frames of the take; None for those of `positions`.
+        Number of frames of the take; None if `positions` is the whole take.
     """
     kept = np.asarray(positions, np.float64)[:, :, ::PACKED_STEP]
     known = np.isfinite(kept)
@@ -283,7 +284,7 @@ def pack(
     unit_m = max(FINEST_M, largest / _MAX_INTEGER)
     whole = np.where(known, np.round(np.where(known, kept, 0.0) / unit_m), UNSEEN).astype(np.int16)
     rows = whole.reshape(-1, whole.shape[2])
-    steps = np.diff(rows, axis=1, prepend=np.int16(0))  # int16 wraps around, as that of the player does
+    steps = np.diff(rows, axis=1, prepend=np.int16(0))  # int16 wraps around, as in the player
     data = base64.b64encode(zlib.compress(steps.astype("<i2").tobytes(), 9)).decode("ascii")
     frames = positions.shape[2]
     return EmbeddedMotion(
@@ -297,7 +298,7 @@ def motions_json(motions: EmbeddedMotions | None) -> Markup:
 
 
 def script_json(content: object) -> Markup:
-    """Return JSON for a script element, in which no tag can begin."""
+    """Return JSON for a script element, escaped so that it cannot contain a tag."""
     text = json.dumps(content, ensure_ascii=False, separators=(",", ":"))
     return Markup(text.replace("<", "\\u003c"))
 

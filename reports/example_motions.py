@@ -1,4 +1,4 @@
-"""The motions of segments and of their nearest examples, for the player of a page."""
+"""Add the motions of segments and of their nearest examples to the player of a page."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from kinedex.reports.report_data import Template
 from kinedex.storage.store.store import Store
 
 MAX_PIECES = 500
-"""Maximum number of segments that are embedded as motions of their own, because their whole takes are not embedded."""
+"""Maximum number of segments that are embedded as separate motions, because their whole takes are not embedded."""
 
 
 def with_hits(
@@ -32,7 +32,7 @@ def with_hits(
     templates: Sequence[Template],
     progress: Progress = no_progress,
 ) -> tuple[EmbeddedMotions, dict[Key, int]]:
-    """Add the motions of hits to those of a page, and the nearest examples of all segments that it can play.
+    """Add motions of hits to those of a page, and nearest examples of all segments that the page can play.
 
     Parameters
     ----------
@@ -43,7 +43,7 @@ def with_hits(
     hits : sequence of TakeSegment
         Segments that the page must be able to play.
     others : sequence of TakeSegment
-        Further segments of the page; the motions of as many as fit are added, of the first `MAX_PIECES` at most.
+        Further segments of the page. Of the first `MAX_PIECES`, the motions of as many as fit are added.
     templates : sequence of Template
         Learned templates, with the names of their clips.
     progress : callable
@@ -52,7 +52,7 @@ def with_hits(
     Returns
     -------
     motions : EmbeddedMotions
-        With the further motions.
+        The motions of the page with those that were added.
     near : dict of (take, class, start, stop) to int
         The place of each nearest example in `motions.near`.
     """
@@ -77,14 +77,14 @@ def with_study(
     study : Study
         The comparison.
     motions : EmbeddedMotions
-        The motions of the takes with a timeline, by their titles.
+        The motions of the takes with a timeline, named by the titles of these takes.
     progress : callable
         Makes a progress bar of a description and a number of takes.
 
     Returns
     -------
     motions : EmbeddedMotions
-        With the motions of the examples.
+        The motions of the page with those of the examples.
     near : dict of (title, class, start, stop) to int
         The place of each nearest example in `motions.near`.
     """

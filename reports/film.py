@@ -1,4 +1,4 @@
-"""Films of motions as GIF or MP4: a stick figure from the front and from the side, with a floor line and the time."""
+"""Write films of motions as GIF or MP4, with a stick figure from the front and the side, the floor and the time."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from kinedex.reports.stick_figures import FAINT, GROUND, TEXT, Pen
 from kinedex.storage.formats.motion.joint_motion import JointMotion
 
 MAX_GIF_FRAMES = 1500
-"""Frames of a GIF, a minute at its rate; the library holds all of them in memory."""
+"""Largest number of frames of a GIF (one minute), because the library holds all of them in memory."""
 
 _VIEWS = (("front", 0, 2, 1.0), ("side", 2, 0, -1.0))  # axes to the right and in depth, sign of the near side
 _WIDE, _HIGH, _HEAD, _FOOT = 320, 400, 44, 40  # pixels of a view, and of what lies above and below the figure
@@ -31,7 +31,7 @@ _SHADES = 20  # shades of each colour in the palette of a GIF
 
 
 def write_gif(path: Path, motion: JointMotion) -> None:
-    """Write a motion as a GIF of 25 frames per second, or of its own rate where that is lower.
+    """Write a motion as a GIF with 25 frames per second, or with the rate of the motion if that is lower.
 
     Parameters
     ----------
@@ -43,14 +43,14 @@ def write_gif(path: Path, motion: JointMotion) -> None:
     Raises
     ------
     KinedexError
-        No joint is seen in any frame, or the motion is longer than a GIF of `MAX_GIF_FRAMES` frames.
+        No frame has a joint, or the motion is longer than a GIF of `MAX_GIF_FRAMES` frames.
     """
     hundredths = max(round(100 / min(motion.rate_hz, _GIF_HZ)), 1)
     film = _Film(motion, 100 / hundredths)
     if len(film) > MAX_GIF_FRAMES:
         seconds = MAX_GIF_FRAMES * hundredths / 100
         raise KinedexError(
-            f"'{motion.name}' has {len(film) * hundredths / 100:.0f} s, and a GIF at most {seconds:.0f} s; export a "
+            f"'{motion.name}' has {len(film) * hundredths / 100:.0f} s; a GIF can have {seconds:.0f} s; export a "
             "shorter range, or an mp4"
         )
     palette = _palette()
@@ -60,7 +60,7 @@ def write_gif(path: Path, motion: JointMotion) -> None:
 
 
 def write_mp4(path: Path, motion: JointMotion) -> None:
-    """Write a motion as an MP4 file (H.264) of its own rate, or of 30 frames per second where that is over 60.
+    """Write a motion as an MP4 file (H.264) with the rate of the motion, or 30 frames per second if it is over 60.
 
     Parameters
     ----------
@@ -72,7 +72,7 @@ def write_mp4(path: Path, motion: JointMotion) -> None:
     Raises
     ------
     KinedexError
-        PyAV is not installed, or no joint is seen in any frame.
+        PyAV is not installed, or no frame has a joint.
     """
     try:
         import av
@@ -85,7 +85,7 @@ def write_mp4(path: Path, motion: JointMotion) -> None:
 
     film = _Film(motion, motion.rate_hz if motion.rate_hz <= _FASTEST_HZ else _USUAL_HZ)
     rate = Fraction(film.rate_hz).limit_denominator(1001)
-    options = {"movflags": "faststart", "fflags": "bitexact"}  # without versions and dates: the same bytes every time
+    options = {"movflags": "faststart", "fflags": "bitexact"}  # without versions and dates: equal bytes each time
     with av.open(str(path), "w", format="mp4", options=options) as container:
         stream = container.add_stream("libx264", rate=rate, options={"crf": "20", "preset": "fast", "threads": "1"})
         stream.width, stream.height, stream.pix_fmt = *film.size, "yuv420p"
@@ -96,7 +96,7 @@ def write_mp4(path: Path, motion: JointMotion) -> None:
 
 
 def _palette() -> Image.Image:
-    """Return the colours of all lines and texts, in shades from the colour to that of the paper."""
+    """Return the colours of all lines and texts, each in shades from the colour itself to that of the paper."""
     colours = np.array([ImageColor.getrgb(colour) for colour in (LEFT, RIGHT, MIDDLE, GROUND, TEXT, FAINT)])
     shades = colours[:, None] + (255.0 - colours[:, None]) * np.linspace(0.0, 1.0, _SHADES)[:, None]
     image = Image.new("P", (1, 1))
@@ -106,7 +106,7 @@ def _palette() -> Image.Image:
 
 @dataclass(frozen=True)
 class _Film:
-    """The pictures of a motion at a rate."""
+    """The pictures of a motion at a given frame rate."""
 
     motion: JointMotion
     rate_hz: float
@@ -133,7 +133,7 @@ class _Film:
 
     @property
     def _across(self) -> tuple[float, float]:
-        """Return the level direction (x, z) from the right hip to the left in the first frame that has both."""
+        """Return the horizontal direction (x, z) from the right hip to the left in the first frame that has both."""
         if {"lhip", "rhip"} <= set(self.motion.joints):
             left, right = (self.motion.positions[:, self.motion.joints.index(name)] for name in ("lhip", "rhip"))
             ways = (left - right)[:, [0, 2]].astype(np.float64)
@@ -146,14 +146,14 @@ class _Film:
 
     @cached_property
     def floor(self) -> float:
-        """Return the height below which the lowest joint hardly ever is."""
+        """Return the height of the floor: a low percentile of the height of the lowest joint."""
         heights = self.positions[:, :, 1]
         seen = np.isfinite(heights).any(axis=1)
         return float(np.percentile(np.nanmin(heights[seen], axis=1), 2))
 
     @cached_property
     def scale(self) -> float:
-        """Return pixels per metre, such that the highest joint, and in any case a standing body, fits into a view."""
+        """Return pixels per metre, such that the highest joint and, in any case, a standing body fit into a view."""
         tall = max(float(np.nanmax(self.positions[:, :, 1])) - self.floor, _MIN_HEIGHT_M)
         reach = self.positions - self.centres[:, None]
         wide = 2.1 * float(np.nanmax(np.abs(reach[:, :, [0, 2]])))
@@ -161,7 +161,7 @@ class _Film:
 
     @cached_property
     def centres(self) -> F64:
-        """Return the places (T, 3) that the views follow: the middle of the body, steadied over a second."""
+        """Return the positions (T, 3) that the views follow: the middle of the body, averaged over a second."""
         seen: Bool = np.any(np.isfinite(self.positions), axis=(1, 2))
         middle = (np.nanmin(self.positions[seen], axis=1) + np.nanmax(self.positions[seen], axis=1)) / 2
         frames = np.arange(len(seen))
@@ -190,7 +190,7 @@ class _Film:
             yield image.reduce(_FINE)
 
     def _ground(self) -> Image.Image:
-        """Return the picture of all that is the same in every frame, before its size is reduced."""
+        """Return the picture of everything that is the same in every frame, before its size is reduced."""
         pen = Pen.on_paper(*self.size, _FINE)
         pen.write(12, 8, self.motion.name[:60], 14, TEXT)
         for i, (word, colour) in enumerate((("left", LEFT), ("right", RIGHT))):
@@ -207,7 +207,7 @@ class _Film:
         self, pen: Pen, view: int, positions: F64, centre: F64,
         bones: list[tuple[int, int, str]], across: int, away: int, sign: float,
     ) -> None:  # fmt: skip
-        """Draw a view: marks of the floor every half metre, and the bones, the nearest last."""
+        """Draw a view: marks on the floor every half metre, and the bones from the farthest to the nearest."""
         middle = (view + 0.5) * _WIDE
         reach = _WIDE / 2 / self.scale
         first = int(np.ceil((centre[across] - reach) / _TICK_M))

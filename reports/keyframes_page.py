@@ -1,4 +1,4 @@
-"""The page about learned keyframe queries: their hits, convergence of the runs, stiffness, agreement of the runs."""
+"""Render the page about learned keyframe queries: hits, stiffness, and convergence and agreement of learning runs."""
 
 from __future__ import annotations
 
@@ -24,9 +24,9 @@ BINS = 10
 PANEL, ROW, NAMES = 330, 13, 170
 """Width of a matrix, height of a row, and width of the names of the rows, in SVG units."""
 MIN_CELL = 3.0
-"""Minimum width of a keyframe of a long template."""
+"""Minimum width of a keyframe in the matrix of a long template, in SVG units."""
 FAINT = 0.2
-"""Features weaker than this share of the strongest one are omitted from a matrix, unless a query requires them."""
+"""The share of the strongest feature below which a feature is omitted from a matrix, unless a query requires it."""
 LINES = HISTORY_COLUMNS[:3]
 """Precision, recall and fitness, as in Figure 4.3."""
 
@@ -42,7 +42,7 @@ class Curve:
 
 @dataclass(frozen=True)
 class Cell:
-    """A cell of a matrix: its place in SVG units, on or off, its strength (0 to 1), its query, and its tooltip."""
+    """A cell of a matrix: place in SVG units, value (on or off), strength (0 to 1), query, and tooltip."""
 
     x: float
     y: int
@@ -57,8 +57,8 @@ class Cell:
 class Matrix:
     """A figure of keyframes over the columns of a template, with a row per feature and a cell per keyframe entry.
 
-    `names` are those of the rows, `runs` the cells of all learning runs, `queries` those of the learned queries, and
-    `ticks` the places and texts on the axis.
+    `names` has the names of the rows, `runs` the cells of all learning runs, `queries` the cells of the learned
+    queries, and `ticks` the places and texts on the axis.
     """
 
     names: tuple[str, ...]
@@ -160,12 +160,12 @@ def history_curves(histories: Sequence[F64]) -> list[Curve]:
     Parameters
     ----------
     histories : sequence of float64 array (G_i + 1, 4)
-        One for each run; a shorter one is continued with its last row.
+        The history of each run; a shorter history is continued with its last row.
 
     Returns
     -------
-    list of Course
-        The lines of `LINES`; none without histories.
+    list of Curve
+        The curves of the columns `LINES`; empty if there are no histories.
     """
     if not histories:
         return []
@@ -194,8 +194,8 @@ def bars(stiffness: Sequence[float]) -> list[HistogramBar]:
 def matrix_of(outcome: Outcome, feature_set: FeatureSet, rate_hz: float) -> Matrix:
     """Lay out the keyframes of all runs (thesis, Figure 4.2 a) and those of the chosen queries (Figure 4.2 b).
 
-    The rows are the features of the queries and those that many runs fix. The strength of an entry is relative to the
-    strongest one, since with many runs every entry is near one half.
+    The rows are the features that the queries require and those that many runs require. The strength of an entry is
+    relative to the strongest entry, since with many runs every entry is near one half.
     """
     lean = outcome.consensus.matrix - 0.5
     strongest = max(float(np.abs(lean).max(initial=0.0)), 1e-9)

@@ -1,4 +1,4 @@
-"""The content of the page about limb errors, from the results of the stages that compared takes with sensors."""
+"""Read the content of the page about limb errors from the results of stages that compare takes with sensors."""
 
 from __future__ import annotations
 
@@ -31,10 +31,10 @@ class StageKeys:
     Attributes
     ----------
     errors, clocks, calibration, sensors, limbs : str
-        The stages limb_errors, synchronise, calibrate_sensors, read_imu and limb_orientations, or break_track instead
-        of the last one.
+        The stages of the kinds limb_errors, synchronise, calibrate_sensors, read_imu, and limb_orientations or
+        break_track.
     evaluation : str or None
-        The stage evaluate_limb_errors.
+        The stage of the kind evaluate_limb_errors.
     """
 
     errors: str
@@ -52,11 +52,11 @@ class MarkedRun:
     Attributes
     ----------
     start_s, stop_s : float
-        Seconds of the take.
+        Start and end in seconds of the take.
     peak_deg, mean_deg : float or None
-        The largest and the mean error; None in manual intervals, and where no frame counts.
+        The largest and the mean error; None for manual intervals, and if no frame of the interval counts.
     jump : bool
-        True if the limb of the take jumps in this interval.
+        True if the tracked limb jumps in this interval.
     """
 
     start_s: float
@@ -75,15 +75,15 @@ class LimbErrors:
     limb : str
         Its name.
     basis : str
-        The basis of its orientation.
+        The basis of the limb's orientation.
     times : float64 array (T,)
-        Seconds of the source's frames.
+        Times of the source frames in seconds.
     degrees, swing, twist : float64 array (T,)
-        Errors; NaN where a frame does not count.
+        The error in degrees, and its parts swing and twist; NaN where a frame does not count.
     tau_deg : float
-        The threshold.
+        The threshold τ.
     automatic : tuple of MarkedRun
-        The runs above it.
+        The runs of frames above the threshold.
     manual : dict of str to tuple of MarkedRun
         Annotator → the intervals that this person marked.
     """
@@ -100,7 +100,7 @@ class LimbErrors:
 
     @property
     def known(self) -> F64:
-        """The errors of the frames that have one (not NaN)."""
+        """The errors of the frames for which an error is known (not NaN)."""
         return self.degrees[np.isfinite(self.degrees)]
 
     @property
@@ -110,7 +110,7 @@ class LimbErrors:
 
     @property
     def wrong(self) -> float:
-        """The fraction of these frames whose error is above τ; 0 if there are none."""
+        """The fraction of the frames with a known error whose error is above τ; 0 if there are none."""
         known = self.known
         return float((known > self.tau_deg).mean()) if len(known) else 0.0
 
@@ -126,13 +126,13 @@ class TakeErrors:
     take : str
         Its name.
     frames : int
-        Its length in analysis frames.
+        The length of the take in analysis frames.
     seconds : float
-        Its length.
+        The length of the take in seconds.
     limbs : tuple of LimbErrors
         The limbs with a sensor.
     clocks, calibrations : tuple of dict
-        Its rows of `sensor_sync` and `sensor_calibration`.
+        The rows of the take in `sensor_sync` and `sensor_calibration`.
     """
 
     take_id: int
@@ -145,13 +145,16 @@ class TakeErrors:
 
     @property
     def wrong(self) -> float:
-        """The fraction of all frames of its limbs that are above τ."""
+        """The fraction of frames above τ, over all limbs."""
         known = sum(len(one.known) for one in self.limbs)
         return sum(one.wrong * len(one.known) for one in self.limbs) / known if known else 0.0
 
     @property
     def worst(self) -> LimbErrors | None:
-        """The limb with the largest fraction of wrong frames, then the largest error; None if no error is known."""
+        """The limb with the largest fraction of wrong frames; of several, the one with the largest error.
+
+        None if no error is known.
+        """
         known = [one for one in self.limbs if len(one.known)]
         return max(known, key=lambda one: (one.wrong, float(one.known.max())), default=None)
 
@@ -170,7 +173,9 @@ def refusals(
     calibrations: Sequence[Mapping[str, Any]],
     log: Sequence[Mapping[str, Any]],
 ) -> list[Refusal]:
-    """Return the takes, recordings and sensors that were excluded, with reasons; of a recording that was, no sensors.
+    """Return the takes, recordings and sensors that were excluded, with reasons.
+
+    The sensors of an excluded recording are not listed.
 
     Parameters
     ----------
@@ -191,7 +196,7 @@ def refusals(
 
 
 class StoredErrors:
-    """The errors of takes that stages have stored; the frames of a take are read on access.
+    """The errors of takes that stages have stored; the frames of a take are read when they are requested.
 
     Parameters
     ----------
@@ -239,7 +244,7 @@ class StoredErrors:
         )  # fmt: skip
 
     def _limb(self, take_id: int, limb: str, basis: str, rows: pa.Table) -> LimbErrors:
-        """Return the errors of a limb; if several recordings cover a frame, one in which it counts is used."""
+        """Return the errors of a limb; of several recordings that cover a frame, one in which it counts is used."""
         own = rows.filter(pc.equal(rows.column("limb"), limb))
         frame, valid = own.column("source_frame").to_numpy(), _floats(own, "valid") > 0.0
         order = np.lexsort((~valid, frame))
@@ -264,7 +269,7 @@ class StoredErrors:
 
 
 UNNAMED = "manual"
-"""The name of an annotator whom the label file does not name."""
+"""The name that is shown for an annotator whom the label file does not name."""
 
 
 def _floats(rows: pa.Table, column: str) -> F64:
@@ -279,13 +284,13 @@ def _run(row: Mapping[str, Any]) -> MarkedRun:
 
 
 LENGTH_M = 0.18
-"""Length of an axis."""
+"""Length of a drawn axis in metres."""
 
 MAX_BYTES = 6_000_000
 """The largest size of all axes of a page."""
 
 POINTS = 7
-"""Points of a limb: its middle, the tips of the take's axes x y z, and those of the sensor's."""
+"""Points of a limb: its middle, and the tips of the axes x, y and z of the take and of the sensor."""
 
 
 def packed_triads(
@@ -295,7 +300,7 @@ def packed_triads(
     frames: int,
     rate_hz: float,
 ) -> dict[str, Any] | None:
-    """Return the axes of the limbs of a take in every frame, as the player draws them.
+    """Return the axes of the limbs of a take in every frame, in the form that the player draws.
 
     Parameters
     ----------
@@ -313,7 +318,7 @@ def packed_triads(
     Returns
     -------
     dict or None
-        What the player reads; None where no sensor of the take is calibrated.
+        The object that the player reads; None if no sensor of the take is calibrated.
     """
     rows = {(row["recording"], row["sensor"]): row for row in calibrations if not row["left_out"]}
     points: dict[str, F64] = {}
@@ -321,7 +326,7 @@ def packed_triads(
         row, clock = rows.get((sensor.recording, sensor.sensor)), clocks.get((take.take_id, sensor.recording))
         if row is not None and clock is not None:
             own = _points(take.limbs[sensor.limb], sensor, row, clock, frames, rate_hz)
-            before = points.get(sensor.limb, own)  # a take of several recordings: each has frames of its own
+            before = points.get(sensor.limb, own)  # several recordings of a take: each covers other frames
             points[sensor.limb] = np.where(np.isfinite(before), before, own)
     if not points:
         return None

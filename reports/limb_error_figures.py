@@ -1,4 +1,4 @@
-"""The geometry of the page about limb errors: curves with τ, boxes of runs, agreement, drifts, and an example."""
+"""Compute the geometry of the page about limb errors: curves with τ, boxes of runs, agreement, drifts, an example."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from kinedex.ops.intervals import in_seconds
 from kinedex.reports.plots import line_path, percent
 
 BINS = 600
-"""Columns of a curve; each shows the smallest and the largest error of its frames."""
+"""Number of columns of a curve; each column shows the smallest and the largest error of its frames."""
 
 CHART_WIDTH, CHART_HEIGHT = 260.0, 130.0
 """Size of a plot of precision, recall and F in SVG units."""
@@ -37,7 +37,7 @@ class Box:
     text : str
         The text of its tooltip.
     jump : bool
-        True if the limb of the take jumps there; such frames are in no measure.
+        True if the tracked limb jumps in the run; the frames of such runs are not counted in any measure.
     """
 
     start: int
@@ -92,7 +92,7 @@ def curve_path(times: F64, degrees: F64, seconds: float, top: float, bins: int =
 
 
 def _without_holes(filled: Bool, times: F64, known: Bool, seconds: float) -> Bool:
-    """Return the columns that a band covers; those without any frame, as in short takes, join known neighbours."""
+    """Return the columns that a band covers; in short takes, columns without a frame are filled between known ones."""
     covered = filled.copy()
     bins = len(filled)
     any_frame = np.zeros(bins, np.bool_)
@@ -104,22 +104,22 @@ def _without_holes(filled: Bool, times: F64, known: Bool, seconds: float) -> Boo
 
 
 def error_top(largest: float, tau: float) -> float:
-    """Return the end of an axis of errors in degrees: a multiple of 30 above the errors and τ, 180 at most."""
+    """Return the end of an axis of errors: a multiple of 30 degrees above the errors and τ, at most 180."""
     return min(180.0, 30.0 * math.ceil(max(largest, 1.25 * tau, 30.0) / 30.0))
 
 
 @dataclass(frozen=True)
 class AgreementChart:
-    """Precision, recall and F by frames over τ, of one limb, group or all, against one annotator.
+    """Precision, recall and F of frames over τ, for a limb, a group or all limbs, against one annotator.
 
     Attributes
     ----------
     precision, recall, f : str
         SVG paths.
     tau_x : float
-        The place of the τ of the run.
+        The x of the threshold τ that was used.
     best_tau, best_f : float
-        The τ with the largest F.
+        The τ with the largest F, and that F.
     """
 
     precision: str
@@ -131,7 +131,7 @@ class AgreementChart:
 
 
 def agreement_chart(taus: Sequence[float], values: Sequence[tuple[float, float, float]], tau: float) -> AgreementChart:
-    """Lay out precision, recall and F over τ, each value from 0 to 1; NaN where one is not defined."""
+    """Lay out precision, recall and F over τ; values are from 0 to 1, or NaN if not defined."""
     across = [CHART_WIDTH * min(one, TAU_TOP_DEG) / TAU_TOP_DEG for one in taus]
     paths = []
     for column in range(3):
@@ -157,9 +157,9 @@ class DriftCurve:
     Attributes
     ----------
     path : str
-        Its SVG path in a box of 100 by 30 units.
+        The SVG path of the curve in a box of 100 by 30 units.
     span_deg : float
-        Degrees from its smallest to its largest value.
+        The difference between the largest and the smallest correction in degrees.
     """
 
     path: str
@@ -167,7 +167,7 @@ class DriftCurve:
 
 
 def drift_curve(knots: Sequence[tuple[float, float]], seconds: float) -> DriftCurve | None:
-    """Return the curve of a heading's correction through knots (seconds, degrees); None without knots."""
+    """Return the curve of a correction of heading through knots (seconds, degrees); None without knots."""
     if not knots:
         return None
     degrees = [value for _, value in knots]
@@ -177,16 +177,16 @@ def drift_curve(knots: Sequence[tuple[float, float]], seconds: float) -> DriftCu
 
 
 FRAMES, HIDDEN = 640, 485
-"""The number of frames, and the frame of the thesis whose error a wrong mapping hides."""
+"""The number of frames of the example, and the frame whose error a wrong mapping hides."""
 
 ERRORS = (((1.0, 2.0, 0.0), 50, 200, 70.0), ((0.0, -1.0, 1.0), 400, 600, 100.0))
-"""Two errors of the track: axis, first and last frame, degrees at the last."""
+"""Two errors of the track: axis, first and last frame, and degrees at the last frame."""
 
 MOUNT = np.radians(100.0 / math.hypot(0.69, 1.0, 0.69)) * np.array([-0.69, 1.0, 0.69])
-"""A wrong mount, 100 degrees off, as a rotation vector; the thesis does not print its own."""
+"""A wrong mount, 100 degrees off, as a rotation vector; the thesis does not give the values that it used."""
 
 WORLD = np.radians([0.0, 50.0, 70.0])
-"""A wrong rotation between the worlds of sensor and track, as a rotation vector."""
+"""A wrong rotation between the world frames of sensor and track, as a rotation vector."""
 
 TOP_DEG = 180.0
 """The end of the axis of errors; y is 0 there."""
@@ -194,7 +194,7 @@ TOP_DEG = 180.0
 
 @dataclass(frozen=True)
 class MappingCurve:
-    """The errors of the frames by one mapping.
+    """The errors of the frames that one mapping between sensor and limb gives.
 
     Attributes
     ----------
@@ -230,7 +230,7 @@ def streams() -> tuple[F64, F64]:
 
 
 def mapping_curves() -> list[MappingCurve]:
-    """Return the errors by the right mapping, with one rotation wrong, and with both (thesis, Figure 7.14 a to c)."""
+    """Return the errors for the right mapping, and with one or both rotations wrong (thesis, Figure 7.14 a to c)."""
     sensor, track = streams()
     correct = np.ones(FRAMES, np.bool_)
     for _, start, last, _ in ERRORS:

@@ -1,4 +1,4 @@
-"""The page about takes and inertial sensors: curves of errors, boxes of runs, agreement, calibration, motions."""
+"""Render the page about takes and inertial sensors: errors, runs, agreement, calibration and motions."""
 
 from __future__ import annotations
 
@@ -49,13 +49,13 @@ class AgreementCard:
     Attributes
     ----------
     name : str
-        The limbs: a limb, a group, or all.
+        The name of a limb or of a group, or "all".
     against : str
         The annotator.
     found_by : str
-        What is compared with the annotator: frames above τ, the runs of the page, or another annotator.
+        The detector that is compared with the annotator: frames above τ, the runs of the page, or another annotator.
     chart : AgreementChart or None
-        The plot over τ; None for limbs that are in the table only, and where two annotators are compared.
+        The plot over τ; None for limbs that are only in the table, and if two annotators are compared.
     at : dict
         The row of `limb_error_metrics` whose τ is nearest to that of the page.
     """
@@ -91,8 +91,8 @@ class ShownLimb:
 class ShownTake:
     """A take on the page.
 
-    `mounts` are rows of `sensor_calibration`, each with the curve of its heading's drift; `playable` is true where the
-    motion is embedded.
+    `mounts` has rows of `sensor_calibration`, each with the curve of the drift of the heading; `playable` is True if
+    the motion is embedded.
     """
 
     errors: TakeErrors
@@ -114,13 +114,13 @@ def limb_errors_page(store: Store, keys: StageKeys, title: str, most: int, *, de
     store : Store
         The store.
     keys : StageKeys
-        The stages whose results it shows.
+        The stages whose results the page shows.
     title : str
         The title.
     most : int
-        Most takes that are shown: those of whose frames the largest fraction is wrong.
+        Largest number of takes that are shown: those with the largest fraction of wrong frames.
     demonstration : bool
-        Show how a wrong mapping between sensor and limb hides errors (thesis, Figure 7.14).
+        If True, show how a wrong mapping between sensor and limb hides errors (thesis, Figure 7.14).
     """
     stored = StoredErrors(store, keys)
     wrong = {take_id: stored.take(take_id).wrong for take_id in stored.take_ids}
@@ -169,7 +169,7 @@ def _triads(store: Store, keys: StageKeys, takes: Sequence[TakeErrors]) -> tuple
 
 
 def agreement_cards(rows: Sequence[Mapping[str, Any]], tau: float) -> list[AgreementCard]:
-    """Return the agreement with annotators: plots of all limbs and of groups, and rows of a table for each limb.
+    """Return the agreement with annotators: plots for all limbs and for groups, and a table row for each limb.
 
     Parameters
     ----------
@@ -211,13 +211,13 @@ def _place(card: AgreementCard) -> tuple[int, str, int]:
 
 
 SENSORS, RUNS = "sensors", "runs"
-"""The detectors of `limb_error_metrics` that are not annotators: frames above a τ, and the runs that were found."""
+"""The detectors of `limb_error_metrics` that are not annotators: frames above a threshold τ, and detected runs."""
 
 _SCOPES = ("all", "group", "limb")
 
 
 def _alike(row: Mapping[str, Any], other: Mapping[str, Any] | None) -> bool:
-    """Return whether the measures of runs equal those of the frames above τ, so that they need no row of their own."""
+    """Return whether the measures of runs equal those of the frames above τ, so that one row can show both."""
     names = ("p1", "r1", "p2", "r2")
     return row["detector"] == RUNS and other is not None and all(row[name] == other[name] for name in names)
 

@@ -1,4 +1,4 @@
-"""Figures of templates as matrices of features over time with named rows, one or two side by side, as SVG or PNG."""
+"""Draw templates as matrices of features over time with named rows, one or two side by side, as SVG or PNG."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ ENDINGS = (".svg", ".png")
 _ROW, _MAX_WIDTH, _MIN_CELL, _MAX_CELL = 15, 620, 2, 12
 _NAMES, _NOTES, _EDGE, _HEAD, _GAP, _FOOT = 168, 96, 16, 92, 18, 44
 _TEXT, _FAINT, _RULE, _FRAME = (34, 34, 34), (110, 110, 110), (200, 80, 10), (120, 120, 120)
-_FINE = 2  # PNGs are this many times larger than SVGs
+_FINE = 2  # pixels of a PNG per SVG unit
 
 
 @dataclass(frozen=True)
@@ -53,7 +53,7 @@ class MatrixFigure:
     notes : sequence of str
         Text to the right of each row.
     rules : sequence of int
-        Rows, counted from 0, with a thin line above.
+        Rows, counted from 0, that have a thin line above them.
     legend : sequence of (Colour, str)
         Colours and their meaning.
     rate_hz : float
@@ -159,7 +159,7 @@ class Svg:
         )
 
     def text(self, x: float, y: float, text: str, size: int, colour: Colour, anchor: str = "start") -> None:
-        """Write a line of text with its base line at y; `anchor` is the part of it at x: start, middle or end."""
+        """Write a line of text with its baseline at y; its start, middle or end is at x, as `anchor` says."""
         place = f'x="{x:.6g}" y="{y:.6g}" font-size="{size}" fill="{_hex(colour)}"'
         end = "" if anchor == "start" else f' text-anchor="{anchor}"'
         self._texts.append(f"<text {place}{end}>{escape(text)}</text>")
@@ -286,7 +286,7 @@ def row_names(features: FeatureSet) -> list[str]:
 
 
 def set_rules(features: FeatureSet) -> list[int]:
-    """Return the first row of each set of features but the first."""
+    """Return the first row of each set of features, except the first set."""
     return [word_set.first - 1 for word_set in features.sets.values() if word_set.first > 1]
 
 

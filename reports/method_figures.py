@@ -1,4 +1,4 @@
-"""Figures of a comparison of methods: the τ sweep, timelines side by side, confusion, boundary errors."""
+"""Lay out the figures of a comparison of methods: curves over τ, timelines, confusion matrix, boundary errors."""
 
 from __future__ import annotations
 
@@ -21,17 +21,17 @@ WIDTH, HEIGHT = 320.0, 150.0
 """Size of a small plot in SVG units."""
 
 BINS, FURTHEST = 20, 1.0
-"""Number of bars of the histogram of boundary errors, and the seconds at its ends."""
+"""Number of bars of the histogram of boundary errors, and the largest error on its axis in seconds."""
 
 STRIP_WIDTHS = (250, 300, 350, 420, 500, 600, 700, 800, 1000, 1300)
-"""Widths of a strip in pixels from which on more blocks have room for the number of their class."""
+"""Widths of a strip in pixels for which the page decides which blocks show the number of their class."""
 
 _DIGIT, _ROUND = 7.0, 6.0  # pixels of a digit, and of the space around a number
 
 
 @dataclass(frozen=True)
 class Line:
-    """One curve of a plot: its name and path, or a point where it has a single value."""
+    """One curve of a plot: its name and path, or a point if it has a single value."""
 
     name: str
     path: str
@@ -40,7 +40,7 @@ class Line:
 
 @dataclass(frozen=True)
 class Plot:
-    """The curves of one level over τ, with ticks as (x, text) and a description for screen readers."""
+    """The curves over τ for frames or for segments, with ticks (x, text) and a description for screen readers."""
 
     title: str
     lines: tuple[Line, ...]
@@ -70,9 +70,9 @@ class Block:
     middle : float
         Place of the number in percent: the middle of the longest part that no later block covers.
     room : int or None
-        Width of a strip in pixels, one of `STRIP_WIDTHS`, from which on the number has room; None where it never has.
+        Smallest of `STRIP_WIDTHS` at which the number fits into the block; None if it never fits.
     wrong : bool
-        True if the ground truth (for a manual segment: the first method) has no segment of the class on these frames.
+        True if the ground truth (for a manual segment, the first method) has no segment of the class in these frames.
     tip, called : str
         The tooltip, and the title in the player.
     start, stop : int
@@ -127,7 +127,7 @@ class Shade:
 
 @dataclass(frozen=True)
 class ConfusionRow:
-    """One row of a confusion matrix: label, number (empty where it is no class), frames and entries."""
+    """One row of a confusion matrix: label, number of the class (empty for other labels), frames and entries."""
 
     label: str
     number: str
@@ -183,8 +183,9 @@ def strips(
 ) -> Strips:
     """Lay out a take: the manual segments on top, the segments of each method below.
 
-    A block is wrong where the other side has no segment of its class on any of its frames; the other side of manual
-    segments is the first method in `outcomes`. `near` has the place of the nearest example of (class, start, stop).
+    Segments of methods are compared with manual segments, and manual segments with the first method in `outcomes`. A
+    block is wrong if the compared segments of its class have no frame in common with it. `near` has the place of the
+    nearest example of (class, start, stop).
     """
     manual = sorted(test_take.truth, key=lambda one: (one.start, one.stop, one.label))
     sides: list[tuple[str, Sequence[TakeSegment], Sequence[TakeSegment]]] = [
@@ -233,7 +234,7 @@ def _strip(
 
 
 def bare_part(block: tuple[int, int], later: Sequence[tuple[int, int]]) -> tuple[int, int]:
-    """Return the longest part of a block that no later block covers, the first of equal parts; empty for none."""
+    """Return the longest part of a block that no later block covers, the first if equal; empty if there is none."""
     at, stop = block
     best = (at, at)
     for begin, end in [*sorted(one for one in later if one[0] < stop), (stop, stop)]:
@@ -244,11 +245,7 @@ def bare_part(block: tuple[int, int], later: Sequence[tuple[int, int]]) -> tuple
 
 
 def width_for_number(number: int, share: float) -> int | None:
-    """Return the smallest strip width of `STRIP_WIDTHS`, in pixels, at which a number fits into a fraction of the
-    strip.
-
-    None if it does not fit at the largest of these widths.
-    """
+    """Return the smallest of `STRIP_WIDTHS` at which a number fits into a fraction of the strip; None for none."""
     wanted = _DIGIT * len(str(number)) + _ROUND
     return next((width for width in STRIP_WIDTHS if width * share >= wanted), None)
 
@@ -274,7 +271,7 @@ def confusion_table(confusion: Confusion, numbers: Mapping[str, int]) -> Confusi
 
 
 def boundary_errors(frames: I64, rate_hz: float) -> list[HistogramBar]:
-    """Lay out a histogram of boundary errors in seconds; the outermost bars count everything beyond the ends too."""
+    """Lay out a histogram of boundary errors in seconds; the outermost bars also count larger errors."""
     seconds = np.clip(in_seconds(frames, rate_hz), -FURTHEST, FURTHEST)
     return histogram(seconds, -FURTHEST, FURTHEST, BINS, (WIDTH, HEIGHT), 1)
 

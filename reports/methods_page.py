@@ -1,4 +1,4 @@
-"""The pages that compare methods of annotation, and two evaluations."""
+"""Render the pages that compare methods of annotation, or two evaluations."""
 
 from __future__ import annotations
 
@@ -75,7 +75,7 @@ def methods_page(study: Study, motions: EmbeddedMotions | None = None, near: Map
     study : Study
         The comparison.
     motions : EmbeddedMotions or None
-        Motions of the player by the titles of takes; None for a page without player.
+        Motions of the player, named by the titles of takes; None for a page without player.
     near : mapping of (title, class, start, stop) to int, or None
         Place of the nearest example of a segment in `motions.near`.
 
@@ -181,7 +181,7 @@ def study_page(store: Store, study: Study, embedded: Embed, stage: str, progress
     study : Study
         The comparison.
     embedded : str or sequence of str
-        The takes whose motion the page carries: "auto", "all", "none", or names.
+        The takes whose motions are embedded: "auto", "all", "none", or names.
     stage : str
         The name of the stage, for remarks.
     progress : callable

@@ -1,4 +1,4 @@
-"""HTML that notebooks show for stores, takes and queries; it needs no network."""
+"""Make the HTML that notebooks show for stores, takes and queries; it needs no network."""
 
 from __future__ import annotations
 
@@ -46,8 +46,9 @@ _CONTROLS = """<div id="player" hidden>
 class ShownTake:
     """The data of a take that its HTML shows.
 
-    label : the name. facts: (what, text) in order. joints: J names. positions: float array (T, J, 3) in metres, of the
-    frames that are played; frames: how many the take has. rate_hz: frames per second.
+    `label` is the name of the take, and `facts` are pairs of a heading and a text. `joints` has the names of J joints,
+    and `positions` (T, J, 3) their positions in metres in the frames that are played. `frames` is the number of frames
+    of the take, and `rate_hz` the number of frames per second.
     """
 
     label: str
@@ -59,7 +60,7 @@ class ShownTake:
 
 
 def take_html(take: ShownTake) -> str:
-    """Return a take as HTML: its facts, and a player in an iframe, isolated from the styles and scripts of the page."""
+    """Return the HTML of a take: its facts, and a player in an iframe, isolated from styles and scripts of the page."""
     page = escape(player_page(take), quote=True)
     player = (
         f'<iframe srcdoc="{page}" sandbox="allow-scripts" title="Player of {escape(take.label, quote=True)}" '
@@ -69,7 +70,7 @@ def take_html(take: ShownTake) -> str:
 
 
 def player_page(take: ShownTake) -> str:
-    """Return a whole page that plays a take."""
+    """Return a complete HTML page that plays a take."""
     joints = [joint for joint in take.joints if joint in JOINT_PARENTS]
     columns = [take.joints.index(joint) for joint in joints]
     motion = pack(take.label, take.positions[:, columns].transpose(1, 2, 0), take.rate_hz)
@@ -97,13 +98,13 @@ def table_html(
     rows: Iterable[Sequence[object]],
     note: str = "",
 ) -> str:
-    """Return facts and a table as HTML, with a note below where there is one."""
+    """Return facts and a table as HTML, with a note below the table if one is given."""
     below = f"<p>{escape(note)}</p>" if note else ""
     return f"<div><b>{escape(title)}</b>{_pairs(facts)}{_table(columns, rows)}{below}</div>"
 
 
 def query_html(query: KeyframeQuery, feature_set: FeatureSet) -> str:
-    """Return a query as HTML: of every pose the time since the one before, and its features."""
+    """Return a query as HTML, with the time since the previous pose and the features of every pose."""
     rows: list[tuple[str, str, str, str]] = []
     for number, chain in enumerate(query.chains):
         for group in pose_groups(chain, feature_set):

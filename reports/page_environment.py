@@ -1,4 +1,4 @@
-"""The environment of the templates of pages, and the base of the stages that draw one page."""
+"""Set up the Jinja environment for the templates of pages, and define the base class of stages that draw a page."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from kinedex.storage.store.store import Store
 def page_environment(filters: Mapping[str, Callable[..., object]] | None = None) -> Environment:
     """Return the environment of the templates in `reports/pages`, with the filters of a page.
 
-    Values are escaped, and an undefined name is an error.
+    Values are escaped, and an undefined name in a template is an error.
     """
     environment = Environment(
         loader=PackageLoader("kinedex.reports", "pages"),

@@ -1,10 +1,10 @@
-"""The colours of classes, which differ clearly up to twenty classes, on light and on dark backgrounds."""
+"""Define the colours of classes; up to twenty classes differ clearly, on light and on dark backgrounds."""
 
 from __future__ import annotations
 
-# Each pair is (on white, on near black), with a contrast of at least 3:1. Any two colours of a side are at least 0.1
-# apart in OKLab, five times what an eye tells apart. More classes than pairs repeat colours; rows have names, so that a
-# colour is never the only sign.
+# Each pair has one colour for white and one for nearly black backgrounds, with a contrast of at least 3:1. Any two
+# colours for one background are at least 0.1 apart in OKLab, five times the smallest visible difference. With more
+# classes than pairs, colours repeat; rows have names, so that a class is never marked by its colour alone.
 CLASS_COLOURS: tuple[tuple[str, str], ...] = (
     ("#4e66c5", "#5097ff"),
     ("#b18e15", "#decd48"),
@@ -30,7 +30,7 @@ CLASS_COLOURS: tuple[tuple[str, str], ...] = (
 
 
 def colour_slot(index: int) -> int:
-    """Return the number of the pair of colours of the class at `index`."""
+    """Return the number of the pair of colours for the class at an index."""
     return index % len(CLASS_COLOURS)
 
 

@@ -1,4 +1,4 @@
-"""Images of templates as indexed PNGs in data URIs, with a square of pixels for each entry."""
+"""Draw templates as indexed PNGs in data URIs, with a square of pixels for each entry."""
 
 from __future__ import annotations
 
@@ -15,10 +15,10 @@ Colour = tuple[int, int, int]
 BLACK: Colour = (0, 0, 0)
 WHITE: Colour = (255, 255, 255)
 WILDCARD: Colour = (151, 176, 204)
-# Purple to yellow: rises in lightness from black to white, and stays readable with any colour vision.
+# Purple to yellow: the lightness rises, and the colours can be distinguished with any colour vision.
 VARYING: tuple[Colour, ...] = ((66, 10, 145), (126, 3, 168), (204, 71, 120), (248, 149, 64), (252, 206, 37))
 TOLERANCE = 1e-9
-SCALE = 4  # pixels per entry in each direction; printers smooth images, and entries must stay distinct
+SCALE = 4  # pixels per entry in each direction; several, because printers smooth images and entries must stay distinct
 
 
 def ramp(position: float) -> Colour:
@@ -32,7 +32,7 @@ def ramp(position: float) -> Colour:
 
 
 def soft_image(values: F64) -> str:
-    """Draw a template: 0 is black, 1 is white, values between have the colours of the ramp.
+    """Draw a template: 0 is black, 1 is white, and values between have the colours of `ramp`.
 
     Parameters
     ----------

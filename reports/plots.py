@@ -1,4 +1,4 @@
-"""The geometry of plots: lines, histograms, and axes, of time in percent of a width and of others in SVG units."""
+"""Compute the geometry of plots: lines, histograms and axes; time is in percent of a width, the rest in SVG units."""
 
 from __future__ import annotations
 
@@ -29,12 +29,12 @@ def time_axis(seconds: float, most: int = 8, room: float = 0.97) -> Axis:
     most : int
         Largest number of steps, so that texts do not touch on a narrow screen.
     room : float
-        Share of the width in which a text may begin, so that the last one fits.
+        Share of the width in which a text may begin, so that the last text fits.
 
     Returns
     -------
     Axis
-        The ticks from 0 on; the last one has the unit.
+        The ticks from 0 on; the text of the last tick has the unit.
     """
     step = next((step for step in STEPS if seconds / step <= most), seconds / most)
     decimals = 1 if step < 1 else 0
@@ -58,7 +58,7 @@ class HistogramBar:
     Attributes
     ----------
     low, high : float
-        The values that the bar counts are from `low` to `high`.
+        The bar counts the values from `low` to `high`.
     count : int
         Number of values.
     x, y, width, height : float

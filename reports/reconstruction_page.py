@@ -1,4 +1,4 @@
-"""The page about takes made from depth: moving figures beside points, votes, costs, jumps, remarks and errors."""
+"""Render the page about takes made from depth: figures beside points, votes, costs, jumps, remarks and errors."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ LENDERS = 8
 """Maximum number of archive takes in the table of takes that provide poses."""
 
 VOTES = "archive lent the pose"
-"""The lane of frames whose pose is that of the database."""
+"""The name of the lane with the frames whose pose is from the pose database."""
 
 
 @dataclass(frozen=True)
@@ -68,25 +68,25 @@ class ReconstructedOnPage:
     take : str
         Its name.
     row : dict
-        Its row of `reconstructions`.
+        The row of the take in `reconstructions`.
     frames, seconds : int, float
-        Its length in analysis frames and in time.
+        The length of the take in analysis frames and in seconds.
     lent : float
-        Share of the frames with a pose of the database.
+        Share of the frames whose pose is from the pose database.
     bins : tuple of float
-        Costs of the poses in strips, as a fraction of `MAX_COST_M`.
+        Costs of the poses in the columns of the strip, as fractions of `MAX_COST_M`.
     lanes : dict of str to tuple of StripInterval
         Name of a lane → its intervals of frames.
     lenders : tuple of (str, int)
-        Takes of the archive with the number of frames whose pose is from them.
+        Take of the archive, and the number of frames whose pose is from this take.
     errors : dict or None
         The row of `reconstruction_errors` of the take.
     joints : tuple of dict
-        Its rows of joints or markers, the worst first.
+        The rows of `reconstruction_errors` for joints or markers, the largest errors first.
     jumps : Jumps
         The frames whose pose is from the pose database.
     near : int
-        Index of the motion of its ground truth in `Motions.near`; −1 if none can be shown.
+        Index of the motion of the ground truth in `EmbeddedMotions.near`; −1 if none can be shown.
     """
 
     take: str
@@ -111,13 +111,13 @@ def reconstruction_page(store: Store, stage: str, evaluation: str | None, title:
     store : Store
         The store.
     stage : str
-        The stage that has reconstructed, "<pipeline>/<stage>".
+        The stage that reconstructed the takes, "<pipeline>/<stage>".
     evaluation : str, optional
-        The stage that has compared its takes with the truth.
+        The stage that compared these takes with the ground truth.
     title : str
         The title.
     most : int
-        Most takes that are shown: those farthest from the truth, or with the largest costs.
+        Largest number of takes that are shown: those farthest from the ground truth, or with the largest costs.
     """
     live = set(store.manifest.live_takes)
     rows = {str(row["take"]): row for row in earlier_rows(store, "reconstructions", stage) if row["take_id"] in live}
@@ -147,7 +147,7 @@ def reconstruction_page(store: Store, stage: str, evaluation: str | None, title:
 def _truths(
     store: Store, rows: Sequence[Mapping[str, Any]], errors: Sequence[Mapping[str, Any]], joints: tuple[str, ...]
 ) -> dict[str, EmbeddedMotion]:
-    """Return the ground truth of each take as a motion, for takes whose truth still exists and has joints."""
+    """Return the ground truth of each take as a motion, for takes whose ground truth still exists and has joints."""
     judged = {row["take"] for row in errors if row["scope"] == "take"}
     found: dict[str, EmbeddedMotion] = {}
     for row in (row for row in rows if row["take"] in judged and row["file"] and Path(row["file"]).is_file()):
@@ -159,14 +159,14 @@ def _truths(
                 continue
             known = true_positions(store, file, name, str(truth), store.rate_hz, joints)
         except KinedexError:
-            continue  # it has changed since takes were compared with it
+            continue  # the ground truth has changed since the comparison
         positions = known.joints[:, :, : store.take_frames[row["take_id"]]]
         found[str(row["take"])] = pack(Path(known.name).name, positions, store.rate_hz)
     return found
 
 
 def _clouds(store: Store, rows: Sequence[Mapping[str, Any]]) -> list[dict[str, Any]]:
-    """Return the packed points of the first takes that fit into the page."""
+    """Return the packed points of the person for the first takes whose points fit into the page."""
     found: list[dict[str, Any]] = []
     room = MAX_BYTES
     for row in rows:
@@ -249,7 +249,7 @@ def _intervals(
 
 
 MAX_JUMPS = 30
-"""Maximum number of jumps of a take in its table: of more, those that reduced the cost most."""
+"""Maximum number of jumps of a take in its table; if there are more, those that reduced the cost most are shown."""
 
 MARGIN_S = 0.5
 """Seconds that are played before and after a jump."""
@@ -266,17 +266,17 @@ class Jump:
     seconds : float
         Its time.
     direction : str
-        Direction of time that it was found in.
+        Direction of time in which the pose was found.
     archive_take, archive_frame : str, int
-        The take and frame of the archive that the pose is from.
+        The take and the frame of the archive from which the pose is taken.
     candidate : int
-        Its number among the candidates of the frame, from 1.
+        The number of the pose among the candidates of the frame, from 1.
     lookup_cost, trial_cost, cost : float or None
         The cost of the pose in the lookup, after a short fit, and in the vote.
     followed_cost : float or None
-        The cost in the vote of the pose that was tracked from the frame before; None if there is none.
+        The cost, in the vote, of the pose that was tracked from the previous frame; None if there is none.
     start, stop : int
-        Analysis frames around it.
+        The analysis frames that are played around the jump.
     """
 
     source_frame: int
@@ -300,9 +300,9 @@ class Jumps:
     Attributes
     ----------
     shown : tuple of Jump
-        Those in the table, in order of time.
+        The jumps in the table, in order of time.
     total : int
-        The number of all.
+        The number of all jumps.
     """
 
     shown: tuple[Jump, ...] = ()
@@ -310,14 +310,14 @@ class Jumps:
 
 
 def jumps_of(store: Store, stage: str, rows: Sequence[Mapping[str, Any]]) -> dict[str, Jumps]:
-    """Return the jumps of takes by their names.
+    """Return a dict from name of a take to the jumps of the take.
 
     Parameters
     ----------
     store : Store
         The store.
     stage : str
-        The stage that has reconstructed, "<pipeline>/<stage>".
+        The stage that reconstructed the takes, "<pipeline>/<stage>".
     rows : sequence of dict
         The rows of `reconstructions` of the takes.
     """
@@ -350,7 +350,7 @@ def _jump(vote: Mapping[str, Any], followed: float | None, source_hz: float, tot
 
 
 def _most_telling(jumps: Sequence[Jump]) -> Jumps:
-    """Return the jumps that a table shows: starts of tracking, then the jumps that reduced the cost most."""
+    """Choose the jumps that a table shows: starts of tracking, then the jumps that reduced the cost most."""
 
     def gain(one: Jump) -> float:
         return float("inf") if one.followed_cost is None else one.followed_cost - one.cost
@@ -367,7 +367,7 @@ MAX_BYTES = 6_000_000
 
 
 def packed_points(row: Mapping[str, Any], frames: int, rate_hz: float) -> dict[str, Any] | None:
-    """Return points of the person in every frame of a take as the player draws them.
+    """Return points of the person in every frame of a take, in the form that the player draws.
 
     Parameters
     ----------

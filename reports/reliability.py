@@ -1,4 +1,4 @@
-"""The reliability diagram of a page: the fraction of correct segments by their confidence."""
+"""Lay out the reliability diagram of a page: the fraction of correct segments over their confidence."""
 
 from __future__ import annotations
 
@@ -20,18 +20,18 @@ _MARGIN = 3.0
 
 @dataclass(frozen=True)
 class Bar:
-    """One bucket in SVG units: the bar of the fraction of correct segments, its interval, and the mean confidence.
+    """One range of confidences in the diagram, in SVG units.
 
     Attributes
     ----------
     bucket : ConfidenceBin
-        Its numbers.
+        The numbers of this range.
     x, y, width, height : float
-        The place of the bar.
+        The bar, which shows the fraction of correct segments.
     low, high : float
-        The y of both ends of the interval of the fraction, from the top.
+        The y of both ends of the confidence interval of the fraction, measured from the top.
     says : (float, float)
-        The point on the diagonal, at which the fraction of correct segments equals the mean confidence.
+        The point on the diagonal at the mean confidence, which the fraction of correct segments should reach.
     """
 
     bucket: ConfidenceBin
@@ -46,16 +46,16 @@ class Bar:
 
 @dataclass(frozen=True)
 class ReliabilityFigure:
-    """The reliability of the segments that ground truth judges.
+    """The reliability of the confidences of segments in takes with ground truth.
 
     Attributes
     ----------
     bars : tuple of Bar
-        The buckets that have segments.
+        The ranges of confidences that have segments.
     segments, right : int
-        All segments, and the right ones.
+        The numbers of all segments, and of right ones.
     auroc : float
-        The probability that a right segment has a higher confidence than a wrong one; NaN where all are right or wrong.
+        The probability that a right segment has a higher confidence than a wrong one; NaN if there are not both kinds.
     brier : float
         The mean squared difference of confidence and truth.
     """

@@ -1,4 +1,4 @@
-"""The content of a report as plain data, read from a store once."""
+"""Define the content of a report as plain data, which is read from a store once."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ class FeatureNames:
 class TakeRow:
     """One annotated take; `frames` and `rate_hz` are those of the analysis.
 
-    `group` is its value of what `ReportData.grouped_by` names.
+    `group` is the value of the take in the column that `ReportData.grouped_by` names.
     """
 
     name: str
@@ -46,7 +46,7 @@ class TakeRow:
 
 @dataclass(frozen=True)
 class Score:
-    """One row of an evaluation: precision, recall and F-measure of frames (1) and of segments (2).
+    """One row of an evaluation, with precision, recall and F-measure of frames (1) and of segments (2).
 
     `scope` is 'pooled', 'class', 'take' or 'fold'; an undefined measure (0/0) is None.
     """
@@ -132,13 +132,13 @@ class HitCount:
 class ReportData:
     """The content of a report.
 
-    `takes` are the annotated takes sorted by name; `archive_takes` and `archive_seconds` count the whole store.
-    `evaluation` and `held_out` name the evaluations of `scores` that are the main one and leave one actor out (or one
-    of another column of takes, `held_out_column`); `learned_from` holds that column's values among the example clips.
-    `subclasses` maps a class to the subclasses that were searched for it; empty where that is not stored. `grouped_by`
-    names what the takes are grouped by, empty for nothing. `other_method` is the method that `doubted` of segments is
-    about. `curves` belong to the take `curves_take`. `not_applied` has each template and query with the takes that it
-    was not applied to.
+    `takes` are the annotated takes sorted by name; `archive_takes` and `archive_seconds` are totals of the whole store.
+    `evaluation` names the main evaluation in `scores`, and `held_out` the evaluation that leaves out one actor (or one
+    value of another column of takes) at a time. `held_out_column` is that column, and `learned_from` has its values
+    among the example clips. `subclasses` maps a class to the subclasses that were searched for it; it is empty if they
+    are not stored. `grouped_by` names the column by which takes are grouped; it is empty if they are not grouped.
+    `other_method` is the method that found the classes in `doubted` of segments. `curves` belong to the take
+    `curves_take`. `not_applied` has each template and query with the takes to which it was not applied.
     """
 
     title: str
@@ -183,12 +183,12 @@ class ReportData:
         return tuple(s for s in self.scores if s.evaluation == evaluation and s.scope == scope)
 
     def pooled(self, evaluation: str | None) -> Score | None:
-        """Return the pooled row of an evaluation, None where there is none."""
+        """Return the pooled row of an evaluation; None if there is none."""
         rows = self.scores_of(evaluation, "pooled")
         return rows[0] if rows else None
 
     def take_scores(self) -> dict[str, Score]:
-        """Return the main evaluation's row of each take."""
+        """Return, by take, the row of the take in the main evaluation."""
         return {score.name: score for score in self.scores_of(self.evaluation, "take")}
 
     def labels(self) -> tuple[str, ...]:

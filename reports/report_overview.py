@@ -1,4 +1,4 @@
-"""The findings of an annotation report: the numbers of its first screen, tables by class and group, all segments."""
+"""Summarise an annotation for its report: totals, tables by class and by group, and the list of all segments."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from kinedex.reports.take_selection import by_group
 from kinedex.storage.formats.csv_tables import csv_line
 
 MOVING = 4
-"""Number of the most confident, and of the least confident segments, that are moving figures on the first screen."""
+"""Number of the most and of the least confident segments that the first screen shows as moving figures."""
 
 BARS = 20
 """Maximum number of classes on the first screen; the table has all of them."""
@@ -27,7 +27,7 @@ BARS = 20
 
 @dataclass(frozen=True)
 class Totals:
-    """The sums over all takes: segments, classes, takes with a segment, seconds of takes, and seconds with a label."""
+    """The totals of all takes: segments, classes, takes with a segment, seconds of takes, and seconds with a label."""
 
     segments: int
     classes: int
@@ -132,12 +132,12 @@ def group_findings(data: ReportData) -> list[GroupFindings]:
 
 
 def surest(segments: Sequence[TakeSegment], count: int = MOVING) -> list[TakeSegment]:
-    """Return the most confident segments, of different classes as far as there are."""
+    """Return the most confident segments, of as many different classes as possible."""
     return _of_classes(sorted(segments, key=lambda one: (-(one.confidence or 0.0), _cost(one), one.key)), count)
 
 
 def most_doubtful(segments: Sequence[TakeSegment], count: int = MOVING) -> list[TakeSegment]:
-    """Return the least confident segments, of different classes as far as there are."""
+    """Return the least confident segments, of as many different classes as possible."""
     known = [one for one in segments if one.confidence is not None]
     return _of_classes(sorted(known, key=lambda one: (one.confidence, -_cost(one), one.key)), count)
 
@@ -147,7 +147,7 @@ def _cost(segment: TakeSegment) -> float:
 
 
 def _of_classes(ranked: Sequence[TakeSegment], count: int) -> list[TakeSegment]:
-    """Return up to `count` segments: the first of each class in turn, then the second ones, in the given order."""
+    """Return up to `count` segments in the given order: the first of each class, then the second of each, and so on."""
     seen: Counter[str] = Counter()
     rounds = []
     for place, one in enumerate(ranked):
@@ -158,7 +158,7 @@ def _of_classes(ranked: Sequence[TakeSegment], count: int) -> list[TakeSegment]:
 
 
 def _labelled(segments: Sequence[TakeSegment]) -> dict[str, int]:
-    """Return the frames of each take that have a label, each once."""
+    """Return, by take, the number of frames with a label; frames with several labels count once."""
     grouped: dict[str, list[tuple[int, int]]] = defaultdict(list)
     for one in segments:
         grouped[one.take].append((one.start, one.stop))
@@ -179,7 +179,7 @@ def _agreement(scores: Sequence[Score]) -> tuple[float | None, float | None]:
 
 
 MAX_ROWS = 5000
-"""Maximum number of segments on the page, the least confident ones; the CSV file beside it has all."""
+"""Maximum number of segments on the page, which shows the least confident ones; the CSV file has all segments."""
 
 LOOKS = 25
 """Number of segments that the page proposes to review first."""
@@ -204,11 +204,11 @@ class SegmentList:
     total : int
         Number of all segments.
     shown : tuple of TakeSegment
-        Those on the page, the least confident first.
+        The segments on the page, the least confident first.
     looks : tuple of TakeSegment
-        The first of them, which the page proposes to review first.
+        The segments that the page proposes to review first.
     rows_json : Markup
-        The rows for the page's script.
+        The rows for the script of the page.
     """
 
     total: int
@@ -245,7 +245,7 @@ def segment_list(
     near : mapping of (take, class, start, stop) to int
         Nearest examples.
     confirmed : mapping of (take, class, start, stop) to bool, or None
-        Whether the ground truth has the class there; None without ground truth.
+        Segment → True if ground truth of its class overlaps it; None without ground truth.
     """
     ordered = in_order(data.automatic)
     shown = ordered[:MAX_ROWS]

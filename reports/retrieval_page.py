@@ -1,4 +1,4 @@
-"""The page about retrieval: search and ranking of each class, precision and recall, and the stiffness of queries."""
+"""Render the page about retrieval: search and ranking of each class, precision and recall, stiffness of queries."""
 
 from __future__ import annotations
 
@@ -57,7 +57,8 @@ class Search:
 class TwoStages:
     """One row of the table of search and ranking (thesis, Table 3.2).
 
-    `search` is None without queries; `reading` and `ranking` are in milliseconds; `skipped` is None without a bound.
+    `search` is None if the class has no queries; `reading` and `ranking` are in milliseconds; `skipped` is None if no
+    lower bound was used.
     """
 
     label: str
@@ -72,7 +73,7 @@ class TwoStages:
 
 @dataclass(frozen=True)
 class Quality:
-    """One row of the table of average precision: a class in the takes, and among held-out clips."""
+    """One row of the table of average precision: the values of a class over takes and over held-out clips."""
 
     label: str
     takes: tuple[int, float | None, float | None] | None
@@ -200,7 +201,7 @@ def _pooled(rows: Sequence[Row]) -> tuple[int, float | None, float | None] | Non
 
 
 def mean_of(rows: Sequence[Row], kind: str) -> tuple[float, float] | None:
-    """Return mean average precision over classes and recall over all segments of an evaluation; None without either."""
+    """Return mean average precision over classes and recall over all segments; None if either is undefined."""
     own = qualities([row for row in rows if row["evaluation"] == kind])
     pairs = [pair for pair in ((one.takes if kind == "takes" else one.clips) for one in own) if pair is not None]
     averages = [average for _, average, _ in pairs if average is not None]
@@ -233,7 +234,7 @@ def diagrams(trials: Sequence[Row], names: tuple[str, str]) -> list[Diagram]:
 
 
 def _line(name: str, words: str, row: Row) -> Line:
-    """Lay out the points after each rank up to the last relevant hit."""
+    """Lay out the points (recall, precision) after each rank, up to the last relevant hit."""
     points = list(zip(row["recall"], row["precision"], strict=True))
     best = max(row["recall"], default=0.0)
     last = next((place for place, (recall, _) in enumerate(points) if recall == best), -1) if best else -1

@@ -1,4 +1,4 @@
-"""The page about stabilised takes: figures before and after stabilisation, trust, hits, priors, joints, cameras."""
+"""Render the page about stabilised takes: figures before and after, trust, hits, priors, joints and cameras."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ BINS = 240
 """Number of columns of a strip that shows the fraction of trusted keypoints."""
 
 BAD_CAMERA = 3.0
-"""Ratio of a camera's median residual to that of the others from which the camera is marked."""
+"""Ratio of a camera's median residual to that of the other cameras from which on the camera is marked."""
 
 MOVED = 8
 """Number of joints in the table of the most moved ones."""
@@ -50,11 +50,11 @@ class ShownPrior:
     cost : float
         The cost of the hit.
     kept : bool
-        False where it was withdrawn.
+        False if the prior was withdrawn.
     reason : str
-        The reason for that.
+        The reason why it was withdrawn.
     round : int
-        The round.
+        The iteration of stabilisation in which it was applied.
     """
 
     label: str
@@ -73,8 +73,8 @@ class ShownPrior:
 class ShownTake:
     """A stabilised take on the page.
 
-    `bins` are shares of trusted keypoints, `figures` the metrics by part, before and after, and `moved_mm` is the mean
-    displacement of all joints.
+    `bins` has the fractions of trusted keypoints over time, `figures` the metrics by part of the body before and after
+    stabilisation, and `moved_mm` is the mean displacement of all joints.
     """
 
     take: str
@@ -94,7 +94,7 @@ class ShownTake:
 
     @property
     def lanes(self) -> dict[str, list[ShownPrior]]:
-        """The priors of the last round, and those that were withdrawn, by class."""
+        """The priors of the last iteration, and those that were withdrawn, by class."""
         last = [one for one in self.priors if one.round == self.row["rounds"] or not one.kept]
         return {label: [one for one in last if one.label == label] for label in sorted({one.label for one in last})}
 
@@ -107,7 +107,7 @@ class ShownTake:
 
     @property
     def distances(self) -> tuple[float | None, float | None]:
-        """Mean distances from the truth over all frames, before and after stabilisation; None where not known."""
+        """Mean distances from the ground truth over all frames, before and after stabilisation; None if unknown."""
         return next(((before, after) for name, before, after in self.figures if name == "all"), (None, None))
 
     @property
@@ -130,11 +130,11 @@ def stabilised_page(store: Store, stage: str, title: str, most: int) -> str:
     store : Store
         The store.
     stage : str
-        The stage that stabilised, "<pipeline>/<stage>".
+        The stage that stabilised the takes, "<pipeline>/<stage>".
     title : str
         The title.
     most : int
-        Most takes that are shown: those whose joints have moved most.
+        Largest number of takes that are shown: those whose joints were moved most.
     """
     rows = {str(row["take"]): row for row in earlier_rows(store, "tracks", stage) if row["take_id"] in _live(store)}
     moved = {take: _moved(store, stage, take) for take in rows}
@@ -170,7 +170,7 @@ def _of_take(store: Store, kind: str, stage: str, take: str) -> pa.Table:
 
 
 def _moved(store: Store, stage: str, take: str) -> F64:
-    """Return how far each joint was moved in each frame, (T, J) in millimetres."""
+    """Return the distance by which each joint was moved in each frame, (T, J) in millimetres."""
     rows = _of_take(store, "track_frames", stage, take).column("moved_mm").to_pylist()
     return np.array([one if one is not None else [0.0] for one in rows], np.float64)
 
@@ -208,7 +208,7 @@ def _prior(row: Mapping[str, Any], frames: int, rate_hz: float) -> ShownPrior:
 
 
 def _cameras(rows: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:
-    """Return rows of cameras, each marked where its residual is far above that of the others."""
+    """Return rows of cameras, each marked if its residual is far above that of the other cameras."""
     found = []
     for row in rows:
         others = [one["median_px"] for one in rows if one is not row and one["median_px"] is not None]
@@ -223,9 +223,9 @@ def _metrics(store: Store, take: str) -> dict[str, float]:
 
 
 def _rays(store: Store, row: Mapping[str, Any], stage: str, frames: int) -> dict[str, Any] | None:
-    """Return the rays of the limbs' keypoints for the player: on each ray, the point nearest to the joint.
+    """Return, for the player, the rays of the limbs' keypoints, each with its point nearest to the joint.
 
-    None if the take has no recording with keypoints.
+    None is returned if the take has no recording with keypoints.
     """
     name = row["recording"]
     if name is None:

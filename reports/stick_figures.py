@@ -1,4 +1,4 @@
-"""Pictures of motions as stick figures: a few frames from the front and the side, and rows of hits."""
+"""Draw motions as stick figures: a few frames from the front and the side, or rows of hits."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ _CELL, _HEIGHT, _HEAD, _FOOT, _EDGE = 190, 250, 62, 26, 28  # pixels of a pictur
 
 
 class Pen:
-    """A pen on an image that is `fine` times larger than the units of its drawing, so that lines are smooth."""
+    """A pen that draws on an image with `fine` pixels per unit, so that lines are smooth when the image is reduced."""
 
     def __init__(self, image: Image.Image, fine: int) -> None:
         self.image, self._fine, self._draw = image, fine, ImageDraw.Draw(image)
@@ -58,7 +58,7 @@ class Pen:
 
 
 def write_picture(found: Inspection, path: Path) -> bool:
-    """Write the picture of an inspection; return False where there is none.
+    """Write the picture of an inspection; return False if the inspection has none.
 
     Raises
     ------
@@ -75,7 +75,7 @@ def write_picture(found: Inspection, path: Path) -> bool:
 
 
 def draw(figure: Figure, path: Path) -> None:
-    """Draw a figure to one scale, with a row for each view and a column for each frame, and write it as PNG.
+    """Draw a figure with a row for each view and a column for each frame, all at one scale, and write it as PNG.
 
     Raises
     ------
@@ -145,11 +145,11 @@ class StripRow:
     Attributes
     ----------
     title, note : str
-        The texts above its figures.
+        The texts above the figures.
     positions : float array (J, 3, T)
-        Positions of the joints in its frames, metres, Y up; NaN where unknown.
+        Positions of the joints in the frames of the hit, in metres, Y up; NaN where unknown.
     first : int
-        Its first frame in the take.
+        The first frame of the hit in the take.
     rate_hz : float
         Frames per second.
     """

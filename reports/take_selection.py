@@ -12,7 +12,7 @@ from kinedex.ops.errors import KinedexError, ParameterError, did_you_mean
 from kinedex.ops.intervals import TakeSegment
 
 OPEN_ALL, OPEN = 10, 6
-"""Up to `OPEN_ALL` timelines are all unfolded; of more, only the first `OPEN` are."""
+"""Up to `OPEN_ALL` timelines are all unfolded; if there are more, only the first `OPEN` are."""
 
 
 @dataclass(frozen=True)
@@ -24,13 +24,13 @@ class Choice:
     shown : tuple of str
         The takes with a timeline, in the order of the page.
     left_out : tuple of str
-        The others, by name.
+        The other takes, by name.
     reason : str
         The order in words.
     folded : int
         Number of takes at the end of `shown` that are folded.
     look : tuple of str
-        Those of them with the most doubtful segments.
+        The takes of `shown` with the most doubtful segments.
     """
 
     shown: tuple[str, ...]
@@ -42,7 +42,7 @@ class Choice:
 
 @dataclass(frozen=True)
 class Findings:
-    """The segments of a take: their number and frames, the lowest confidence, and how many another method doubts."""
+    """Totals of a take: the number and frames of its segments, their lowest confidence, and the doubtful segments."""
 
     segments: int
     frames: int
@@ -82,18 +82,18 @@ def choose_takes(
     findings : mapping of str to Findings or None
         The totals of segments of each take, for takes without ground truth.
     wanted : sequence of str or None
-        Exactly these takes, in this order; None chooses.
+        The takes to show, in this order; if None, takes are chosen.
     max_takes : int
-        Largest number of takes where they are chosen: a third each from the worst, the middle and the best, or half
-        each of those with the most segments and of those with the most doubtful ones.
+        Largest number of takes that are chosen. With ground truth, a third each are the worst, the middle and the best
+        takes; otherwise, half are the takes with the most segments, and half those with the most doubtful segments.
 
     Returns
     -------
     Choice
-        Takes with ground truth come first, the worst leading. Of many takes, a few from the start, the middle and the
-        end of this order come first, and the others are folded. Where no take has ground truth, those with the most
-        segments come first; those that deserve a look have the most segments that another method doubts, or the least
-        confident one.
+        The chosen takes. With ground truth, the worst takes come first; of many takes, a few from the start, the middle
+        and the end of this order come first, and the others are folded. Without ground truth, takes with the most
+        segments come first, and `look` has the takes with the most segments that another method contradicts, or with
+        the least confident segment.
 
     Raises
     ------
@@ -120,7 +120,7 @@ def choose_takes(
 
 
 def _by_findings(names: Sequence[str], findings: Mapping[str, Findings], max_takes: int) -> Choice:
-    """Choose takes without ground truth by the numbers of their segments and of doubtful ones."""
+    """Choose takes without ground truth by their numbers of segments and of doubtful segments."""
     most = sorted(
         (name for name in names if name in findings),
         key=lambda name: (-findings[name].segments, -findings[name].frames, name),
@@ -166,31 +166,31 @@ def worst_middle_best(ranked: Sequence[str], count: int) -> list[str]:
 
 
 def median_take(f1: Mapping[str, float]) -> str | None:
-    """Return the median take by F (frames), the lower one of two; None where no take has ground truth."""
+    """Return the median take by F (frames), the lower of two; None if no take has ground truth."""
     ranked = sorted(f1, key=lambda name: (f1[name], name))
     return ranked[(len(ranked) - 1) // 2] if ranked else None
 
 
 MIN_GROUPS, MAX_GROUPS = 2, 40
-"""Minimum and maximum number of groups for which takes are grouped."""
+"""Minimum and maximum number of groups of takes."""
 
 NONE = "other"
 """The group of takes without a value."""
 
-_SHARE = 0.5  # least share of takes that have a value
+_SHARE = 0.5  # smallest share of takes with a value
 _OWN = ("class", "clip")  # columns that name the content or count takes
 _EMPTY = (None, "")
 
 
 def take_groups(takes: pl.DataFrame, columns: Sequence[str]) -> tuple[str, dict[str, str]]:
-    """Group takes by the actor, or else by the one of `columns` with the most values, or by the folder.
+    """Group takes by the actor or, if that is not possible, by the column with the most values, or by the folder.
 
     Parameters
     ----------
     takes : polars.DataFrame
         Rows of `takes` with name, source, actor and the columns.
     columns : sequence of str
-        Columns of named groups of patterns, and of metadata.
+        The columns that come from named groups of patterns or from metadata.
 
     Returns
     -------
@@ -214,7 +214,7 @@ def take_groups(takes: pl.DataFrame, columns: Sequence[str]) -> tuple[str, dict[
 
 
 def by_group(groups: Mapping[str, str], names: Sequence[str]) -> dict[str, list[str]]:
-    """Return the takes of each group, both in the order of their names, takes without a value last."""
+    """Return the takes of each group; groups and takes are sorted by name, but takes without a value come last."""
     found: dict[str, list[str]] = {}
     for name in names:
         found.setdefault(groups.get(name, ""), []).append(name)

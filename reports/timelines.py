@@ -1,4 +1,4 @@
-"""The geometry of timelines and distance curves: lanes and panels of classes with their segments (thesis, Fig. 5.2)."""
+"""Lay out timelines and distance curves: lanes and panels of classes with their segments (thesis, Fig. 5.2)."""
 
 from __future__ import annotations
 
@@ -17,9 +17,9 @@ from kinedex.reports.report_data import Curve, Score, TakeRow
 
 @dataclass(frozen=True)
 class Bar:
-    """One segment: its place in percent, whether annotation and ground truth agree, its tooltip, and its frames.
+    """One segment: its place in percent, its agreement with ground truth, its tooltip, and its frames.
 
-    `agrees` is None where the take has no ground truth. `near` is the place of its nearest example in the page's list.
+    `agrees` is None if the take has no ground truth. `near` is the index of the nearest example in the page's list.
     """
 
     left: float
@@ -69,9 +69,9 @@ def timeline(
     Parameters
     ----------
     take : TakeRow
-        The take; every segment must lie in it.
+        The take; all segments must be within it.
     automatic, manual : sequence of TakeSegment
-        Its segments.
+        The segments of the take.
     slots : mapping of str to int
         Colour of each class; its order is the order of the lanes.
     score : Score or None
@@ -147,7 +147,7 @@ def tooltip(segment: TakeSegment, rate_hz: float, origin: str, agrees: bool | No
 
 
 HEIGHT = 200  # units of the vertical axis of a panel
-POINTS = 1600  # of curves with more frames, only the lowest and highest values of short intervals are drawn
+POINTS = 1600  # largest number of frames that are all drawn; of longer curves, the extrema of short intervals are drawn
 
 
 @dataclass(frozen=True)
@@ -200,20 +200,20 @@ def curve_figure(
     Parameters
     ----------
     take : TakeRow
-        The take; every curve has one cost for each of its frames.
+        The take; every curve has one cost for each frame of the take.
     curves : sequence of Curve
-        Its curves, one for each subclass.
+        The curves of the take, one for each subclass.
     automatic, manual : sequence of TakeSegment
-        Its segments.
+        The segments of the take.
     slots : mapping of str to int
         Colour of each class; its order is the order of the panels.
     tau : float or None
-        Threshold of annotation; without it no minima are marked.
+        Threshold of annotation; if None, no minima are marked.
 
     Returns
     -------
     CurveFigure
-        The panels of classes with a segment or a minimum below τ, and those of the other classes; all have one scale.
+        The panels of classes with a segment or a minimum below τ, and the panels of the other classes, at one scale.
     """
     finite = [curve.costs[np.isfinite(curve.costs)] for curve in curves]
     highest = max((float(costs.max()) for costs in finite if costs.size), default=1.0)
@@ -276,7 +276,7 @@ def panel(
 
 
 def line(costs: F64, top: float) -> str:
-    """Return the path of a curve: x in frames, y in units from the top, a gap where the cost is infinite."""
+    """Return the path of a curve, with x in frames and y in units from the top; infinite costs leave a gap."""
     frames, heights = thinned_frames(costs)
     parts: list[str] = []
     last: tuple[int, int] | None = None
@@ -304,7 +304,7 @@ def _flat(part: str, frames: int) -> str:
 
 
 def thinned_frames(costs: F64) -> tuple[I64, F64]:
-    """Return the frames of a curve to draw: all, or the lowest and the highest of short intervals."""
+    """Return the frames of a curve to draw: all of them, or the lowest and the highest of short intervals."""
     total = costs.size
     if total <= POINTS:
         return np.arange(total, dtype=np.int64), costs
@@ -320,13 +320,13 @@ def thinned_frames(costs: F64) -> tuple[I64, F64]:
 
 
 def minima(curve: Curve, top: float, rate_hz: float, tau: float) -> list[Minimum]:
-    """Mark the local minima below τ, a plateau as one stroke."""
+    """Mark the local minima below τ; a plateau becomes one stroke."""
     costs = curve.costs
     if not costs.size:
         return []
     at = local_minima(costs, tau)
     marks: list[Minimum] = []
-    # Neighbouring minima have the same cost, as neither is above the other: they are one plateau.
+    # Adjacent minima have the same cost, since neither is above the other; they form one plateau.
     for plateau in np.split(at, np.flatnonzero(np.diff(at) > 1) + 1) if at.size else []:
         first, last = int(plateau[0]), int(plateau[-1])
         cost = float(costs[first])

@@ -1,4 +1,4 @@
-"""Hits of rankings and searches as a page of moving figures, or as a strip of pictures."""
+"""Write hits of rankings and searches as a page of moving figures, or as a strip of pictures."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ from kinedex.storage.snapshot.parts import joint_positions
 from kinedex.storage.store.store import Store
 
 EXAMPLE = "example"
-"""The name of the examples of a ranking by an interval of a take."""
+"""The name of the examples if a ranking is by an interval of a take instead of templates."""
 
 
 @dataclass(frozen=True)
@@ -44,7 +44,7 @@ class HitsPage:
     group : str
         The column by which hits are grouped.
     examples : Examples, optional
-        Examples by the value of that column, or by `EXAMPLE` for all hits.
+        Value of the column `group` → its examples; or `EXAMPLE` → the examples of all hits.
     remarks : sequence of str
         Sentences at the end.
     """
@@ -64,7 +64,7 @@ def write_hits_page(store: Store, hits: pa.Table, about: HitsPage, path: Path, m
     store : Store
         The store of the takes.
     hits : pyarrow.Table
-        Rows with take, start, stop and the column of groups, and cost or keyframes where there are any, the best first.
+        Rows with take, start, stop and the column of groups, and optionally cost or keyframes; the best come first.
     about : HitsPage
         The texts and the examples.
     path : Path
@@ -135,15 +135,15 @@ def ranking_page(
     store : Store
         The store of the takes.
     hits : pyarrow.Table
-        The hits; the nearest intervals where there are none.
+        The hits; if there are none, the nearest intervals.
     tau : float
-        Distances below it are hits.
+        The distance below which an interval is a hit.
     kind : str
         The kind of templates: soft or hard.
     stage : str or None
-        The stage that learned them.
+        The stage that learned the templates.
     example : Place or None
-        The interval that the ranking is by, in place of learned templates.
+        The interval by which takes are ranked, instead of learned templates.
     """
     names = list(dict.fromkeys(hits.column("template").to_pylist()))
     what = f"{example[0]}, frames {example[1]} to {example[2]}" if example is not None else ", ".join(names)
@@ -161,7 +161,7 @@ def search_page(store: Store, title: str) -> HitsPage:
 
 
 def template_examples(store: Store, names: Sequence[str], kind: str, stage: str | None = None) -> Examples:
-    """Return the clips of learned templates as examples; templates of files have none."""
+    """Return the clips of learned templates as examples; templates that were read from files have none."""
     try:
         known = stored_templates(store, stage)
     except KinedexError:
@@ -178,9 +178,9 @@ def write_strip(store: Store, hits: pa.Table, about: HitsPage, path: Path, most:
     store : Store
         The store of the takes.
     hits : pyarrow.Table
-        Rows with take, start and stop, and cost where there is one, the best first.
+        Rows with take, start and stop, and optionally cost; the best come first.
     about : HitsPage
-        The line at the top, and the column that a row of the picture begins with.
+        The line at the top, and the column whose value begins each row of the picture.
     path : Path
         The file, ending in .png.
     most : int, optional

@@ -1,4 +1,4 @@
-"""A self-contained page of small moving figures in groups; a click on a figure opens it in the player."""
+"""Write a self-contained page of small moving figures in groups; a click on a figure opens it in the player."""
 
 from __future__ import annotations
 
@@ -24,10 +24,10 @@ MARGIN = 10
 """Frames before and after a clip that the player can show."""
 
 Place = tuple[str, int, int]
-"""A take, and the frames [start, stop) of it."""
+"""A take and a range of its frames [start, stop)."""
 
 Examples = Mapping[str, Sequence[Place]]
-"""Intervals that serve as examples, by name: the clips of each template, for instance."""
+"""A mapping from names to intervals that serve as examples, for instance from templates to their clips."""
 
 
 @dataclass(frozen=True)
@@ -45,7 +45,7 @@ class Clip:
     facts : tuple of str
         Further lines.
     examples : str
-        Name of the examples of which the nearest stands beside it in the player; empty for none.
+        Name of the examples of which the player shows the nearest beside the clip; empty for none.
     """
 
     take: str
@@ -58,7 +58,7 @@ class Clip:
 
 @dataclass(frozen=True)
 class Group:
-    """Clips under a heading, as many as are shown, and the number of all."""
+    """A heading, the clips that are shown below it, and the number of all clips of the group."""
 
     name: str
     clips: tuple[Clip, ...]
@@ -111,7 +111,7 @@ class MotionPage:
 
 
 def shares(counts: Sequence[int], most: int) -> list[int]:
-    """Return how many clips of each group are shown, such that the available space is divided evenly."""
+    """Return the number of clips to show of each group, dividing at most `most` clips evenly."""
     given = [0] * len(counts)
     while sum(given) < min(most, sum(counts)):
         open_groups = [place for place, count in enumerate(counts) if given[place] < count]
@@ -146,7 +146,7 @@ def write_motion_page(store: Store, page: MotionPage, path: Path, examples: Exam
     path : Path
         The file.
     examples : Examples, optional
-        The examples that clips name.
+        The examples to which clips refer by name.
 
     Raises
     ------
@@ -168,7 +168,7 @@ def figures_of(store: Store, groups: Sequence[Group], examples: Examples | None 
     groups : sequence of Group
         The figures.
     examples : Examples, optional
-        The examples that clips name.
+        The examples to which clips refer by name.
 
     Returns
     -------

@@ -1,4 +1,4 @@
-"""The takes of a store as a wall of small moving figures, in groups."""
+"""Write a page that shows the takes of a store as small moving figures, in groups."""
 
 from __future__ import annotations
 
@@ -16,13 +16,13 @@ from kinedex.reports.motion_pages.motion_page import Clip, MotionPage, grouped, 
 from kinedex.storage.store.store import Store
 
 LONGEST_SECONDS = 10.0
-"""Longest motion of a figure in seconds; of a longer take, the middle is shown."""
+"""Longest motion of a figure in seconds; for a longer take, its middle is shown."""
 
 FOLDER = "folder"
 """The name of the grouping by the folder of the file, which is used if no column is suitable."""
 
 _GROUPS = ("class", "actor")
-"""The columns that takes are grouped by, the first one of which there is more than one value."""
+"""The columns by which takes may be grouped; the first column with several values is used."""
 
 
 def write_takes_page(
@@ -70,7 +70,7 @@ def write_takes_page(
 
 
 def _group_of(rows: Sequence[dict[str, Any]]) -> str:
-    """Return the first column of which the takes have several values, but not one of each."""
+    """Return the first column in which the takes have several values, some of them more than once."""
     for name in _GROUPS:
         if 1 < len({row[name] for row in rows}) < max(2, len(rows)):
             return name

@@ -1,4 +1,4 @@
-"""A learned template as a page: a figure above each column of its matrix, and the clips that it was learned from."""
+"""Write the page of a learned template: its matrix, a figure above each column, and the clips it was learned from."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ from kinedex.storage.snapshot.parts import joint_positions
 from kinedex.storage.store.store import Store
 
 _ROW, _FIGURE, _NAMES, _NOTES, _FOOT = 14, 72, 168, 44, 22
-_MIN_CELL_PX, _MAX_CELL_PX, _WIDTH = 14, 30, 1080  # pixels of a column, and of all columns where they have room
+_MIN_CELL_PX, _MAX_CELL_PX, _WIDTH = 14, 30, 1080  # pixels of a column, and of all columns if there is room
 _APART = 24  # pixels between figures; where columns are narrower, every second figure is in a second row
 _VIEW = 0.6  # radians by which figures are turned from the front
 
@@ -41,7 +41,7 @@ def write_template_page(store: Store, one: SubclassTemplate, delta: float, path:
     one : SubclassTemplate
         The template.
     delta : float
-        Entries within delta of 0 or 1 are off and on, the others fit anything.
+        Entries within delta of 0 or 1 count as off or on; the others are wildcards.
     path : Path
         The file, ending in .html.
     most : int, optional
@@ -74,7 +74,7 @@ def write_template_page(store: Store, one: SubclassTemplate, delta: float, path:
 
 
 def _aligned(template: Template, words: Sequence[U64], features: int) -> tuple[list[I64], list[float]]:
-    """Return for each clip its frame at each column of the template, and its distance."""
+    """Return, for each clip, its frame at each column of the template, and its distance from the template."""
     shifts = np.arange(features, dtype=np.uint64)
     paths, costs = [], []
     for clip in words:
@@ -90,7 +90,7 @@ def _aligned(template: Template, words: Sequence[U64], features: int) -> tuple[l
 
 
 def _medoids(words: Sequence[U64], paths: Sequence[I64], columns: int) -> list[tuple[int, int]]:
-    """Return for each column the clip and frame whose word differs least from the words of the other clips."""
+    """Return, for each column, the clip and the frame whose word differs least from the words of the other clips."""
     found = []
     for column in range(columns):
         seen = np.array([clip[frames[column]] for clip, frames in zip(words, paths, strict=True)], np.uint64)
@@ -101,7 +101,7 @@ def _medoids(words: Sequence[U64], paths: Sequence[I64], columns: int) -> list[t
 
 
 def _figure(store: Store, clip: Place, frame: int) -> F64:
-    """Return the joints (J, 2) of a frame of a clip, seen obliquely from the front: metres to the right and up."""
+    """Return the joints (J, 2) of a frame, seen obliquely from the front, in metres to the right and upwards."""
     take, start, _ = clip
     joints = list(store.feature_set.joints)
     points = joint_positions(store.frames(take, start + frame, start + frame + 1), tuple(joints))[:, :, 0]
@@ -159,7 +159,7 @@ def _matrix(store: Store, template: Template, delta: float, figures: Sequence[F6
 
 
 def _stick_figure(points: F64, joints: tuple[str, ...], centre: float, floor: float) -> Iterator[str]:
-    """Yield the bones of a figure as SVG paths, the sides in their colours."""
+    """Yield the bones of a figure as SVG paths; left and right side have different colours."""
     scale = (_FIGURE - 6) / 1.95
     bones: dict[str, list[str]] = {"middle": [], "left": [], "right": []}
     for joint, parent in JOINT_PARENTS.items():

@@ -63,7 +63,7 @@ class Report(Stage[Params]):
     def run(self, context: StageContext, params: Params) -> dict[str, object]:
         """Write `report.html` into the pipeline's report folder, and `report.segments.csv` with all segments.
 
-        A missing input is stated in a sentence on the page.
+        Where an input is missing, a sentence on the page says so.
 
         Raises
         ------

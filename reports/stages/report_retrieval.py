@@ -36,7 +36,7 @@ class ReportRetrieval(PageStage[Params]):
     }
 
     def page(self, context: StageContext, params: Params) -> str:
-        """Return the page about ranking; what is missing is a sentence on it."""
+        """Return the page about ranking; where an input is missing, a sentence on the page says so."""
         store = context.open()
         keys = {role: context.key(stage) for role, stage in context.inputs.items()}
         evaluation = store.result("retrieval", run=run_of(store, keys["evaluation"])).to_pylist()
