@@ -2,7 +2,7 @@
 
 >>> take = kinedex.read(motion_file)                           # a motion file: positions, words, features
 >>> store = kinedex.open_store(store_path)                     # an archive
->>> hits = store.rank(kinedex.Template.from_clip(take, 0, 30)) # what is like the first second of the take?
+>>> hits = store.rank(kinedex.Template.from_clip(take, 0, 30)) # which motions resemble the first second of the take?
 >>> runs = store.runs("lknee_bent", min_seconds=0.5)           # when is the left knee bent?
 
 docs/python.md shows ten tasks, docs/stability.md lists the interfaces that stay stable.
@@ -101,7 +101,7 @@ _HOMES = {
     "track": "library.tracking",
     "write_page": "library.pages",
 }
-"""The module of each public name; it is imported when the name is first used, so that `import kinedex` is quick."""
+"""A dict from public name to module; modules are imported on first use, so that `import kinedex` is fast."""
 
 
 def __getattr__(name: str) -> object:

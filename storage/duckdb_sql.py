@@ -70,7 +70,7 @@ def rows(connection: Connection, text: str, parameters: Parameters = None) -> pa
 
 
 def quote(text: str) -> str:
-    """Return a text as an SQL literal."""
+    """Return a text as a SQL literal."""
     return "'" + text.replace("'", "''") + "'"
 
 
@@ -196,7 +196,7 @@ def literal_rows(table: pa.Table) -> str:
 
 
 def rows_where(table: pa.Table, name: str, condition: str) -> pa.Table:
-    """Return the rows of a table for which an SQL condition holds.
+    """Return the rows of a table for which a SQL condition holds.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""Annotate takes by templates, and evaluate annotations, with data frames as input and output."""
+"""Annotate takes with templates, and evaluate annotations; input and output are data frames."""
 
 from __future__ import annotations
 
@@ -52,22 +52,24 @@ def annotate(
     Parameters
     ----------
     takes : Store, Take, or iterable of Take
-        The takes to annotate; of a store those that `where` selects.
+        The takes to annotate; of a store, those that `where` selects.
     templates : Template, str, or an iterable of them
-        One template for each class (subclass); names are those of templates that the store has learned.
+        One template for each class (subclass); a text is the name of a template that pipelines of the store have
+        learned.
     method : str
         "best" finds the best sequence of templates and background for all frames of a take; "thesis" labels the
         frames where a template has a distance below tau; or the name of a plugin's method.
     classes : str or Path, optional
-        "own" makes every template a class of its own; else a class file, by its shipped name or its path.
+        "own" makes every template a separate class; otherwise the shipped name or the path of a class file.
     delta : float, optional
-        Entries of a template within delta of 0 or 1 count, the others are wildcards.
+        Entries of a template within delta of 0 or 1 count; the others are wildcards.
     tau : float, optional
         The threshold of the method "thesis": intervals with a distance below tau are annotated.
     min_seconds : float, optional
-        The shortest annotation.
+        The shortest duration of an annotation.
     queries : Query or sequence of Query, optional
-        A template is matched within the hits of the queries for its class, and in all frames where there are none.
+        A template is matched only within the hits of the queries for its class, or in all frames if there are no
+        queries for its class.
     where : str, optional
         A SQL filter over the columns of takes, for a store; by default all takes are annotated.
 
@@ -75,13 +77,13 @@ def annotate(
     -------
     polars.DataFrame
         One row per annotated segment, by take name and start: take, take_id (null outside of a store), class, subclass,
-        start, stop (frames, stop excluded), start_seconds, stop_seconds, cost, confidence (not calibrated: that of
-        other archives; the pipeline calibrates it), method, margin.
+        start, stop (frames, stop excluded), start_seconds, stop_seconds, cost, confidence (calibrated on other
+        archives; the pipeline calibrates it on yours), method, margin.
 
     Raises
     ------
     KinedexError
-        There is no take or template, two of them have the same name, or their features differ.
+        There is no take or no template, two takes or templates have the same name, or their features differ.
     ConfigError
         The class file is invalid; the message names the line.
 
@@ -140,7 +142,7 @@ class _LoadedWords:
 
     @property
     def labels(self) -> set[str]:
-        """Return the classes of those takes that have one."""
+        """Return the classes of the takes that have a class."""
         return {str(take.info["class"]) for take in self.takes if take.info.get("class")}
 
     def words(self, positions: Sequence[int]) -> TakeWords:
@@ -232,13 +234,13 @@ def _table(found: Iterable[TakeAnnotation], annotator: Annotator, chosen: _Loade
 class Evaluation:
     """The comparison of annotations with ground truth.
 
-    A notebook shows its table. The measures are undefined (None) where there was nothing to find or nothing found.
+    A notebook shows its table. A measure is undefined (None) if there was nothing to find or nothing was found.
 
     Attributes
     ----------
     table : polars.DataFrame
         One row for all takes ("pooled"), for each class and for each take: scope, name, p1, r1 and f1 (precision,
-        recall and F over frames), p2, r2 and f2 (over segments), and the counts that they are computed from.
+        recall and F over frames), p2, r2 and f2 (over segments), and the counts from which they are computed.
     takes : tuple of str
         The takes that were compared.
     remarks : tuple of str
@@ -307,8 +309,8 @@ def evaluate(
         Segments with the same columns in the same frames, or label files (CSV, JSON, ELAN, WebVTT, Audacity). A row of
         the data frame whose class is null states that its take was labelled and has no segment.
     takes : Store, Take or iterable of Take, optional
-        The takes that were annotated. Label files need it, since they count frames of the source file or seconds; with
-        a data frame it limits the comparison to these takes.
+        The takes that were annotated. They are required for label files, which count seconds or frames of the source
+        file; for a data frame, they limit the comparison to these takes.
 
     Returns
     -------
@@ -321,7 +323,7 @@ def evaluate(
     KinedexError
         A column is missing, label files are given without takes, or no take has ground truth.
     SourceError
-        A label file is invalid, or a segment ends behind its take; the message names file and line.
+        A label file is invalid, or a segment ends after the end of its take; the message names file and line.
 
     Examples
     --------

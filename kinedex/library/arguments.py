@@ -40,14 +40,14 @@ _KINDS: dict[str, tuple[str, Accepts]] = {
 """A dict from type name in annotations to its description in errors and the check of a value."""
 
 _CLASSES = {"Store", "Take", "Template", "Query", "DataFrame"}
-"""Classes that are checked by name: the modules that define them are imported only where they are needed."""
+"""Classes that are checked by name, so that the modules that define them need not be imported."""
 
 
 def checked(function: T) -> T:
     """Return a public function that raises a ParameterError for an argument of a wrong type.
 
-    Arguments that can be paths must be paths of this machine. Annotations of plain types, of classes of this interface
-    and of sequences of them are checked; the function itself checks values of others (arrays, aliases).
+    Arguments that can be paths must be paths of this machine. Annotations are checked if they name plain types, classes
+    of the public interface, or sequences of these. Other values (arrays, aliases) are checked by the function itself.
     """
     signature = inspect.signature(function)
     found = ((name, _check_of(one.annotation)) for name, one in signature.parameters.items())
@@ -67,7 +67,7 @@ def checked(function: T) -> T:
 
 
 def checked_methods(made: type[C]) -> type[C]:
-    """Check the arguments of all public methods of a class, inherited ones included, as `checked` does."""
+    """Check the arguments of all public methods of a class as `checked` does, including inherited methods."""
     members = {name: member for one in reversed(made.__mro__) for name, member in vars(one).items()}
     for name, member in members.items():
         if name.startswith("_"):
@@ -80,7 +80,7 @@ def checked_methods(made: type[C]) -> type[C]:
 
 
 def _check_of(annotation: object) -> tuple[str, Accepts] | None:
-    """Return the description and the check of an annotation; None if it is of no kind that can be checked."""
+    """Return the description and the check of an annotation; None if annotations of its kind cannot be checked."""
     if not isinstance(annotation, str):
         return None
     return _check_of_node(ast.parse(annotation, mode="eval").body)

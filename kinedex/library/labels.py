@@ -1,4 +1,4 @@
-"""The labels of people in a store, as a Python object."""
+"""Define the Python object for the labels that people have given in a store."""
 
 from __future__ import annotations
 
@@ -22,11 +22,11 @@ if TYPE_CHECKING:
 
 @checked_methods
 class Labels:
-    """The labels of people in a store; `Store.labels` gives them.
+    """The labels that people have given in a store, as returned by `Store.labels`.
 
-    A label states that a person finds a class in an interval of a take, or, with the verdict "negative", that it is not
-    there. Labels are recorded at once, while others read or write the store: the next commit of a writer publishes
-    them, and no command deletes them. A label that is changed or withdrawn stays in the history.
+    A label states that an interval of a take shows a class or, with the verdict "negative", that it does not. Labels
+    are recorded immediately, even while other processes read or write the store. The next commit of a writer publishes
+    them, and no command deletes them: a label that is changed or withdrawn stays in the history.
 
     Examples
     --------
@@ -56,7 +56,7 @@ class Labels:
         where : str, optional
             A SQL filter over the columns of the view `labels`, such as ``"class = 'walk' AND annotator = 'ann'"``.
         history : bool, optional
-            Also return rows that others replace or withdraw; the column ``current`` divides them.
+            Also return rows that are not current; the column ``current`` distinguishes them.
 
         Returns
         -------
@@ -95,25 +95,25 @@ class Labels:
         Parameters
         ----------
         rows : polars.DataFrame or iterable of mapping
-            ``take``, ``class``, ``start`` and ``stop`` (frames, half-open); and, as far as they are known, ``verdict``
-            ("positive" or "negative"), ``limb``, ``origin`` ("drawn" unless given), ``confidence``, ``note``,
-            ``annotator``, ``source``, and ``replaces``, the id of the label that it replaces.
+            ``take``, ``class``, ``start`` and ``stop`` (frames, half-open), and optionally ``verdict`` ("positive" or
+            "negative"), ``limb``, ``origin`` ("drawn" unless given), ``confidence``, ``note``, ``annotator``,
+            ``source``, and ``replaces``, the id of the label that the row replaces.
         annotator : str, optional
-            The person, for rows that name none.
+            The person who labelled, for rows without an annotator.
         note : str, optional
-            A remark, for rows that have none.
+            A remark, for rows without a note.
 
         Returns
         -------
         polars.DataFrame
-            The new rows, with their ids; labels that the store has already are not among them.
+            The new rows, with their ids; labels that the store already has are not included.
 
         Raises
         ------
         KinedexError
             A take is not in the store, or an interval is not within its take.
         ParameterError
-            A value is out of its domain; nothing is recorded.
+            A value is not valid; nothing is recorded.
 
         Examples
         --------
@@ -149,30 +149,30 @@ class Labels:
         verdict: Literal["positive", "negative"] | None = None,
         annotator: str | None = None,
     ) -> pl.DataFrame:
-        """Give a label another class, other edges or another verdict; the label before stays in the history.
+        """Change the class, the interval or the verdict of a label; the earlier label stays in the history.
 
         Parameters
         ----------
         id : str
             The id of the label, or its beginning.
         label : str, optional
-            The class that it has from now on.
+            The new class.
         start, stop : int, optional
-            Its frames [start, stop).
+            The new interval of frames [start, stop).
         verdict : {"positive", "negative"}, optional
-            Whether the interval shows the class.
+            "positive" if the interval shows the class, "negative" if it does not.
         annotator : str, optional
-            The person.
+            The person who changes the label.
 
         Returns
         -------
         polars.DataFrame
-            The row that replaces it, with a new id.
+            The row that replaces the label, with a new id.
 
         Raises
         ------
         KinedexError
-            No label has such an id, or several have; or an equal label exists already.
+            No label or several labels have such an id, or an equal label already exists.
         ParameterError
             Nothing would change, or the interval is not within the take.
 
@@ -198,19 +198,19 @@ class Labels:
         ids : iterable of str
             Ids of labels, or beginnings of ids.
         annotator : str, optional
-            The person who withdraws them.
+            The person who withdraws the labels.
         note : str, optional
             The reason.
 
         Returns
         -------
         polars.DataFrame
-            The rows that withdraw them.
+            The rows that withdraw the labels.
 
         Raises
         ------
         KinedexError
-            No label has such an id, or several have.
+            No label or several labels have such an id.
 
         Examples
         --------
@@ -240,7 +240,7 @@ class Labels:
         Returns
         -------
         polars.DataFrame
-            The new labels; annotations that were accepted before are not among them.
+            The new labels; annotations that were accepted before are not included.
 
         Examples
         --------
@@ -306,12 +306,13 @@ class Labels:
         files : path or sequence of paths
             Label files (.csv, .json, .eaf, .vtt, .txt), or folders of them.
         corrects : {"annotations", "labels"}, optional
-            The files are those that were exported, corrected by a person: what is the same in them is accepted, what
-            was moved is corrected, what is missing is rejected (an annotation) or withdrawn (a label).
+            States that the files are an export of annotations or labels that a person has corrected. Unchanged segments
+            are then accepted, moved segments are corrected, and missing ones are rejected (annotations) or withdrawn
+            (labels).
         stage : str, optional
             The stage whose annotations were corrected; by default that of the current pipeline.
         annotator : str, optional
-            The person.
+            The person who labelled or corrected.
         note : str, optional
             A remark.
 
@@ -323,7 +324,7 @@ class Labels:
         Raises
         ------
         SourceError
-            A file cannot be read, or a segment ends behind its take.
+            A file cannot be read, or a segment ends after the end of its take.
         KinedexError
             No take of the files is in the store.
 
@@ -346,7 +347,7 @@ class Labels:
 
 
 def _rows(done: RecordedDecisions) -> pl.DataFrame:
-    """Return the new rows; what was excluded is a warning."""
+    """Return the new rows, and warn about excluded rows."""
     import warnings
 
     for remark in done.remarks:

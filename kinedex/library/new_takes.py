@@ -43,9 +43,9 @@ def read(
         The skeleton mapping: a shipped name, or the path of a YAML file. By default the skeleton is recognised by the
         names of its joints.
     rate : float, optional
-        Frames per second of the file, where it does not state them or states them wrongly.
+        Frames per second of the file, if it does not state them or states them wrongly.
     person : str, optional
-        The person of a file that holds several; `kinedex inspect` lists them.
+        The person to read from a file of several persons, whom `kinedex inspect` lists.
     feature_set : str or Path, optional
         A shipped feature set, or the path of a YAML file.
 
@@ -57,7 +57,8 @@ def read(
     Raises
     ------
     SourceError
-        The file cannot be read, or holds several persons and none is given; the message names file, line and reason.
+        The file cannot be read, or holds several persons while `person` is not given; the message names file, line and
+        reason.
     KinedexError
         There is no such file or mapping.
     ParameterError

@@ -13,7 +13,7 @@ from kinedex.library.store import Store
 from kinedex.ops.errors import KinedexError, ParameterError
 
 GROUPS = ("template", "query", "class")
-"""Columns by which intervals are grouped by default: the first of these that the table has."""
+"""Columns by which intervals are grouped by default; the first one that the table has is used."""
 
 
 @checked
@@ -36,13 +36,14 @@ def write_page(
     store : Store
         The store of the takes.
     intervals : polars.DataFrame or pyarrow.Table
-        Rows with take (name), start and stop (frames), the most important first; `cost` is shown where there is one.
+        Rows with take (name), start and stop (frames), the most important first; the column `cost` is shown if it
+        exists.
     path : str or os.PathLike
         The file, ending in .html.
     title : str, optional
         Heading of the page; by default the number of intervals.
     group : str, optional
-        The column to group by; by default the first there is of template, query and class.
+        The column to group by; by default template, query or class, the first one that exists.
     figures : int, optional
         Largest number of figures; every group has its share of them. The page states how many it shows.
 

@@ -38,12 +38,12 @@ def run_pipeline(
     pipeline : str or Path
         A shipped pipeline such as "annotate", or the path of a YAML file.
     store : str, os.PathLike or Store
-        The store; it is made where there is none. An open `Store` keeps showing the version that it was opened with.
+        The store, which is created if it is missing. An open `Store` still shows the version with which it was opened.
     settings : mapping of str to object, optional
-        Settings of the pipeline by name, and parameters of stages by name, or by ``"stage.name"`` where several stages
-        have one of this name.
+        Settings of the pipeline by name, and parameters of stages by name, or by ``"stage.name"`` if several stages
+        have a parameter of this name.
     executor : {"serial", "processes", "dask"}
-        The way stages distribute their work. A script that asks for processes must guard its start with
+        The way in which stages distribute their work. A script that uses processes must guard its start with
         ``if __name__ == "__main__":``.
     workers : int, optional
         The number of worker processes; by default the number of cores.
@@ -66,8 +66,8 @@ def run_pipeline(
     Raises
     ------
     KinedexError
-        The pipeline, a setting or the store is invalid, and nothing was changed; or a stage failed, and what earlier
-        stages committed stays.
+        The pipeline, a setting or the store is invalid, in which case nothing was changed; or a stage failed, in which
+        case the results of earlier stages are kept.
 
     Examples
     --------
@@ -119,18 +119,18 @@ def ingest(
     Parameters
     ----------
     store : str, os.PathLike or Store
-        The store; it is made where there is none.
+        The store, which is created if it is missing.
     folder : str or os.PathLike
-        The folder that holds the motion files, at any depth.
+        The folder with the motion files, at any depth.
     mapping : str or Path, optional
         The skeleton mapping for all files of its format: a shipped name, or the path of a YAML file. By default
         skeletons are recognised by the names of their joints.
     rate : float, optional
-        Frames per second of every file, whatever it states.
+        Frames per second of every file, which override those that the files state.
     patterns : sequence of str, optional
         Regular expressions with named groups (actor, class, clip, or any other), tried in order on the path relative to
-        the folder, such as ``r"(?P<actor>\w+)/(?P<class>\w+)_\d+\."``. Unless given, those of the last ingest of the
-        folder.
+        the folder, such as ``r"(?P<actor>\w+)/(?P<class>\w+)_\d+\."``. By default, those of the last ingest of the
+        folder are used.
     metadata : str, Path or sequence of them, optional
         Tables (CSV or YAML) whose rows name takes or files, and whose other columns become columns of takes.
     prune : bool, optional

@@ -1,4 +1,4 @@
-"""Keyframe queries of the Python interface, which notebooks show as tables."""
+"""Define keyframe queries for the Python interface, which notebooks show as tables."""
 
 from __future__ import annotations
 
@@ -21,5 +21,5 @@ class Query(catalog_query.Query):
 
 
 def resolved_queries(queries: Query | Iterable[Query], feature_set: FeatureSet, rate_hz: float) -> list[KeyframeQuery]:
-    """Return queries resolved to feature bits and frames, for a store with these features and this analysis rate."""
+    """Resolve queries to feature bits and frames, for a store with the given features and analysis rate."""
     return [one.resolve(feature_set, rate_hz) for one in ([queries] if isinstance(queries, Query) else queries)]

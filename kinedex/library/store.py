@@ -1,4 +1,4 @@
-"""A store as a Python object: its takes, SQL, search and rankings, labels, and the export of clips."""
+"""Define a store as a Python object, with its takes, SQL, search and rankings, labels, and the export of clips."""
 
 from __future__ import annotations
 
@@ -31,29 +31,29 @@ def open_store(
     files: Iterable[str | os.PathLike[str]] = (),
     at: int | Literal["newest"] | None = None,
 ) -> Store:
-    """Open a version of a store for reading: by default the newest version that has its index.
+    """Open a version of a store for reading, by default the newest version that has an index.
 
-    While an ingest runs, this is the version before it. The store keeps showing its version, whatever is written or
-    removed meanwhile; open it again to see what is new.
+    While an ingest runs, this is the version before the ingest. The returned object always shows the same version, even
+    if others write to the store or remove from it; open the store again to see their changes.
 
     Parameters
     ----------
     path : str or os.PathLike
         The directory of the store, or an open store.
     files : iterable of str or os.PathLike, optional
-        Folders whose files SQL may read as well, with ``read_csv`` for example. SQL reads the store alone without them.
+        Folders whose files SQL may read, with ``read_csv`` for example. By default, SQL can read only the store.
     at : int or "newest", optional
-        The number of a version, or "newest" for the newest one, even where its index is still to be built.
+        The number of a version, or "newest" for the newest version, even if its index has not been built yet.
 
     Returns
     -------
     Store
-        The takes, to be used as a mapping from names, and all that can be asked about them.
+        The store at this version: a collection of takes, with methods to query them.
 
     Raises
     ------
     StoreError
-        There is no store or no such version, it is damaged, or it has another format.
+        There is no store or no such version, the version is damaged, or its format is not supported.
 
     Examples
     --------
@@ -70,8 +70,8 @@ def open_store(
 class Store(TakeSearch):
     """One version of a store, read-only; `open_store` opens it.
 
-    A store is a collection of takes: ``len(store)``, ``for take in store``, and ``store["name"]`` or ``store[17]`` by
-    the id. Wherever a method takes a take, its name, its id or the `Take` itself will do. Tables are polars data
+    A store is a collection of takes: ``len(store)``, ``for take in store``, and ``store["name"]``, or ``store[17]`` for
+    a take by its id. Arguments that are takes can be given by name, by id or as a `Take`. Tables are polars data
     frames, except that `sql` returns an Arrow table unless ``polars=True`` is given. Later versions may add columns.
 
     Attributes
@@ -81,11 +81,11 @@ class Store(TakeSearch):
     version : int
         The version that is shown.
     newest_version : int
-        The newest version when the store was opened; it is another one where its index was still to be built.
+        The newest version when the store was opened; it differs from `version` if its index had not been built yet.
     rate_hz : float
-        Frames per second of its takes.
+        Frames per second of the takes.
     feature_set : FeatureSet
-        The features of its words, as the store itself recorded them.
+        The features of the words, as recorded in the store.
 
     Examples
     --------
@@ -127,7 +127,7 @@ class Store(TakeSearch):
     def close(self) -> None:
         """Close the database connections of `sql`, and let `kinedex gc` remove the version.
 
-        The store can still be used for as long as the version is there.
+        The store can still be used as long as the version exists.
 
         Examples
         --------
@@ -137,12 +137,12 @@ class Store(TakeSearch):
 
     @property
     def labels(self) -> Labels:
-        """Return the labels of people, which can be read and recorded.
+        """Return the labels that people have given, to read them or to add further ones.
 
         Returns
         -------
         Labels
-            The labels; recording one changes no other result of this store.
+            The labels; adding labels changes no other result of this store.
 
         Examples
         --------
@@ -185,19 +185,19 @@ class Store(TakeSearch):
     ) -> pl.DataFrame:
         """Write clips as files of a data set, with ``metadata.csv`` and ``dataset.json``.
 
-        The clips are whole takes, unless one of `annotations`, `labels`, `hits`, `ranges` and `sql` is given. The same
-        request writes the same bytes, and an interrupted export continues where it stopped.
+        The clips are whole takes, unless one of `annotations`, `labels`, `hits`, `ranges` and `sql` is given. Equal
+        arguments give equal files, and an interrupted export continues where it stopped.
 
         Parameters
         ----------
         folder : str or os.PathLike
-            The folder: new, empty, or that of an earlier export.
+            The folder, which must be new, empty, or the folder of an earlier export.
         takes : sequence of str, optional
-            Names of takes; by default all.
+            Names of takes; by default all takes are exported.
         format : str, optional
             The format of the files, such as "npz", "csv", "parquet" or "bvh".
         joints : bool, optional
-            True writes the 24 joints also where the source's own channels can be cut.
+            True writes the 24 joints even if the channels of the source file could be cut instead.
         where : str, optional
             A SQL filter over the columns of takes.
         annotations, labels : bool, optional
@@ -207,19 +207,21 @@ class Store(TakeSearch):
         ranges : str or os.PathLike, optional
             A CSV file with the columns take, start, stop, and optionally class.
         sql : str, optional
-            A query for take, and optionally start, stop, class, confidence, and columns for ``metadata.csv``.
+            A query that returns take, and optionally start, stop, class, confidence, and further columns for
+            ``metadata.csv``.
         classes : sequence of str, optional
-            Only these classes.
+            The classes to export; by default all.
         pipeline : str, optional
             The pipeline of the annotations; by default the current one.
         min_confidence : float, optional
-            The least confidence.
+            The lowest confidence of a clip.
         margin, context : float, optional
-            Seconds before and after each interval: `margin` becomes part of the clip, `context` is in its file only.
+            Seconds to add before and after each interval. `margin` becomes part of the clip; `context` is in the file,
+            but not part of the clip.
         min_length : float, optional
-            The least seconds of an interval.
+            The shortest duration of an interval in seconds.
         mirror : bool, optional
-            True adds the mirror image of each clip, with left and right exchanged, also in the name of its class.
+            True adds the mirror image of each clip, with left and right exchanged in the motion and in the class name.
         resample : float, optional
             Frames per second of the files.
         in_place : bool, optional
@@ -227,17 +229,17 @@ class Store(TakeSearch):
         split : str, optional
             A column of takes, such as actor; takes with the same value are in the same split.
         shares : sequence of float, optional
-            The shares of training, validation and test in the total duration; two shares are training and test.
+            The shares of training, validation and test in the total duration, or of training and test.
         seed : int, optional
             The seed of the choice among equally good splits, and of the choice of clips.
         balance : bool, optional
-            True takes, in each split, as many clips of each class as of its rarest.
+            True selects, in each split, as many clips of each class as the rarest class has there.
         per_class : int, optional
             The largest number of clips of a class.
         distinct : float, optional
             Clips whose joints differ from those of an earlier clip by less than this, in metres, are excluded.
         workers : int, optional
-            The number of processes. A script that asks for more than one must guard its start with
+            The number of processes. A script that uses more than one must guard its start with
             ``if __name__ == "__main__":``.
 
         Returns
@@ -248,9 +250,9 @@ class Store(TakeSearch):
         Raises
         ------
         KinedexError
-            Nothing is selected, no clip can be written, the folder holds other files, or it cannot be written.
+            Nothing is selected, no clip can be written, the folder holds other files, or cannot be written to.
         ParameterError
-            A value is out of its domain.
+            A value is not valid.
 
         Warns
         -----

@@ -1,4 +1,4 @@
-"""Takes as Python objects: read from a motion file, made from an array, or opened from a store."""
+"""Define takes as Python objects, which are read from a motion file or a store, or made from an array."""
 
 from __future__ import annotations
 
@@ -29,34 +29,34 @@ ANALYSIS_RATE_HZ = 30.0
 """The rate at which takes are analysed, in frames per second."""
 
 PLAYED_SECONDS = 120.0
-"""The longest part of a take that a notebook carries for its player: some 200 kB."""
+"""The longest part of a take, in seconds, that is embedded in a notebook for its player, with some 200 kB."""
 
 FEATURES = "body40"
-"""The feature set that is used where none is named."""
+"""The feature set that is used by default."""
 
 
 @checked_methods
 class Take:
     """One recorded motion, at the analysis rate of 30 frames per second.
 
-    Takes come from `kinedex.read`, from `Take.from_positions`, and from a store: ``store["name"]``. A take of a store
-    reads its frames when they are first needed. ``take[30:90]`` is a take of the frames from 30 up to 89.
+    Takes are returned by `kinedex.read`, by `Take.from_positions`, and by a store (``store["name"]``). The frames of a
+    take of a store are read when they are first needed. ``take[30:90]`` is a take with the frames 30 to 89.
 
     Attributes
     ----------
     name : str
         The name of the take.
     take_id : int or None
-        The id in its store; None for a take that is in no store.
+        The id in its store; None for a take that is not in a store.
     interval : tuple of int or None
-        The frames [start, stop) of the whole take that this is an interval of; None for a whole take.
+        The frames [start, stop) of the whole take, if this take is an interval of it; None for a whole take.
     rate_hz : float
         Frames per second of all arrays of the take.
     feature_set : FeatureSet
-        The meaning of the bits of its words.
+        The feature set, which defines the bits of the words.
     info : dict
-        The columns of the take in the view `takes` of SQL, as far as they are known: source, format, skeleton, unit,
-        source_rate_hz, source_frames, seconds, actor, class and others. Later versions may add entries.
+        The known columns of the take in the SQL view `takes`: source, format, skeleton, unit, source_rate_hz,
+        source_frames, seconds, actor, class and others. Later versions may add entries.
 
     Examples
     --------
@@ -103,15 +103,15 @@ class Take:
         Parameters
         ----------
         positions : array_like of float, shape (T, J, 3)
-            Joint positions in metres, Y up. A frame in which a joint is NaN is invalid; a joint that is NaN in all
-            frames is unknown, and so are the features that need it.
+            Joint positions in metres, Y up. A joint that is NaN in all frames is unknown, and so are the features that
+            need it. A frame in which another joint is NaN is invalid.
         rate : float
             Frames per second of the array.
         name : str, optional
             The name of the take.
         joints : sequence of str, optional
-            The names of the J joints, in any order; by default the 24 joints of the feature set in their order. Joints
-            of the feature set that are not among them are unknown.
+            The names of the J joints, in any order; by default the 24 joints of the feature set, in its order. Other
+            joints of the feature set are unknown.
         orientation : array_like of float, shape (T, 4), optional
             The root's orientation as unit quaternions w, x, y, z. By default it is estimated from hips and spine.
         feature_set : str or Path, optional
@@ -142,7 +142,7 @@ class Take:
         return self._length
 
     def __getitem__(self, frames: slice) -> Take:
-        """Return the take of an interval of the frames.
+        """Return an interval of the take, as a take.
 
         Parameters
         ----------
@@ -157,7 +157,7 @@ class Take:
         Raises
         ------
         ParameterError
-            The index is no slice, or its step is not 1.
+            The index is not a slice, or its step is not 1.
 
         Examples
         --------
@@ -191,7 +191,7 @@ class Take:
 
     @property
     def label(self) -> str:
-        """Return the name of the take, with its interval where it is not a whole take.
+        """Return the name of the take, with its interval if it is not a whole take.
 
         Returns
         -------
@@ -235,24 +235,24 @@ class Take:
 
     @property
     def known(self) -> int:
-        """Return the mask of the features that the body has the joints for.
+        """Return the mask of the features that can be computed from the joints of the body.
 
         Returns
         -------
         int
-            The bits of a word; all 64 bits are set where every feature is known.
+            A mask with the bits of a word; all 64 bits are set if every feature is known.
         """
         mask = self.info.get("known")
         return int(ALL_KNOWN) if mask is None else int(mask)
 
     @property
     def unknown_features(self) -> tuple[str, ...]:
-        """Return the features that are unknown, as the body lacks joints.
+        """Return the features that are unknown because the body lacks joints.
 
         Returns
         -------
         tuple of str
-            Their names, in the order of their numbers; empty for a whole body.
+            Names of features, in the order of their numbers; empty if the body has all joints.
         """
         return tuple(self.feature_set.named(~self.known & self.feature_set.every_bit))
 
@@ -267,7 +267,7 @@ class Take:
         Returns
         -------
         float32 array (T, J, 3)
-            Metres, Y up; NaN where a joint is not known.
+            Positions in metres, Y up; NaN where a joint is not known.
         """
         return self._frames.positions
 
@@ -278,29 +278,29 @@ class Take:
         Returns
         -------
         float32 array (T, 4)
-            Unit quaternions w, x, y, z; NaN where it is not known.
+            Unit quaternions w, x, y, z; NaN where the orientation is not known.
         """
         return self._frames.orientation
 
     @property
     def valid(self) -> Bool:
-        """Return which frames are valid; other frames have no word, and searches and annotations ignore them.
+        """Return a mask of the valid frames; invalid frames have no word, and are ignored in searches and annotations.
 
         Returns
         -------
         bool array (T,)
-            False where a joint that the body has is not known.
+            False for frames in which a joint of the body is not known.
         """
         valid: Bool = self.words() != NO_WORD
         return valid
 
     def words(self) -> U64:
-        """Return the word of every frame: its features as bits.
+        """Return the word of every frame, which has the features of the frame as bits.
 
         Returns
         -------
         uint64 array (T,)
-            Bit i − 1 is feature Fi; ``0xFFFFFFFFFFFFFFFF`` in invalid frames.
+            Bit i − 1 is feature Fi; ``0xFFFFFFFFFFFFFFFF`` stands for an invalid frame.
 
         Examples
         --------
@@ -320,8 +320,8 @@ class Take:
         Returns
         -------
         polars.DataFrame
-            T rows and one Boolean column per feature (40 for the shipped feature set), named after it; null in invalid
-            frames, and in the columns of features that are unknown. ``.to_numpy()`` is the array (T, 40).
+            T rows and one Boolean column per feature (40 for the shipped feature set), named after the feature; null in
+            invalid frames and for unknown features. ``.to_numpy()`` returns an array (T, 40).
 
         Examples
         --------
@@ -343,7 +343,7 @@ def feature_table(words: U64, feature_set: FeatureSet, known: int) -> pl.DataFra
 
 
 def take_of_body(name: str, body: Body, feature_set: FeatureSet, about: Mapping[str, Any] | None = None) -> Take:
-    """Compute the words of a body as ingest does, and return it as a take."""
+    """Compute the words of a body in the same way as an ingest, and return the body as a take."""
     from kinedex.pipelines.ingestion.analysis import (
         QUALITY_COLUMNS,
         analyse,

@@ -1,4 +1,4 @@
-"""A store as a collection of takes and of tables: positions and words, runs, SQL, results of pipelines, views."""
+"""Define a store as a collection of takes and tables: positions and words, runs, SQL, results of pipelines, views."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ Parameters = Sequence[Any] | dict[str, Any] | None
 
 
 class TakeCollection:
-    """The takes of a store, by name and id, and the tables about them."""
+    """The methods of `Store` that return takes, by name or id, and tables about them."""
 
     def __init__(self, stored: StoredTakes) -> None:
         self.stored = stored
@@ -49,7 +49,7 @@ class TakeCollection:
         name = take.name if isinstance(take, Take) else take
         if isinstance(name, int | np.integer) and not isinstance(name, bool):
             if int(name) not in self._names:
-                raise StoreError(f"{self.path}: no take has the id {name}; `store.takes()` lists those that there are")
+                raise StoreError(f"{self.path}: no take has the id {name}; `store.takes()` lists the takes")
             return self._rows[self._names[int(name)]]
         if name not in self._rows:
             raise StoreError(f"{self.path}: no take is named '{name}'{did_you_mean(str(name), self._rows)}")
@@ -80,7 +80,7 @@ class TakeCollection:
         Raises
         ------
         StoreError
-            There is no such take; the message names the nearest.
+            There is no such take; the message suggests the nearest name.
 
         Examples
         --------
@@ -128,7 +128,7 @@ class TakeCollection:
         Returns
         -------
         float32 array (T, J, 3)
-            Metres, Y up; NaN where a joint is not known.
+            Positions in metres, Y up; NaN where a joint is not known.
 
         Raises
         ------
@@ -143,7 +143,7 @@ class TakeCollection:
         return self[self._row(take)["name"]].positions
 
     def words(self, take: str | int | Take) -> U64:
-        """Return the words of a take: of every frame its features as bits.
+        """Return the words of a take, which have the features of each frame as bits.
 
         Parameters
         ----------
@@ -153,7 +153,7 @@ class TakeCollection:
         Returns
         -------
         uint64 array (T,)
-            Bit i − 1 is feature Fi; ``0xFFFFFFFFFFFFFFFF`` in invalid frames.
+            Bit i − 1 is feature Fi; ``0xFFFFFFFFFFFFFFFF`` stands for an invalid frame.
 
         Raises
         ------
@@ -182,7 +182,7 @@ class TakeCollection:
         feature : str or int
             The feature, by name or number.
         take : str, int or Take, optional
-            Only the runs of this take.
+            The take whose runs are returned; by default the runs of all takes.
         min_seconds : float, optional
             The shortest duration of a run.
         where : str, optional
@@ -241,11 +241,11 @@ class TakeCollection:
         query : str
             One statement of DuckDB's SQL. ``FROM help`` lists views and macros.
         params : sequence or dict, optional
-            Values for ``?``, or for ``$name``.
+            Values for the placeholders ``?`` (a sequence) or ``$name`` (a dict) of the query.
         polars : bool, optional
-            True returns a polars data frame in place of an Arrow table.
+            True returns a polars data frame instead of an Arrow table.
         timeout : float, optional
-            Seconds that the query may take; by default as long as it needs.
+            Seconds that the query may take; by default there is no limit.
 
         Returns
         -------
@@ -268,10 +268,10 @@ class TakeCollection:
         return data_frame(table) if polars else table
 
     def connect(self, threads: int | None = None, memory_mb: int | None = None) -> Connection:
-        """Open a DuckDB connection with all views and macros, for tables and macros of your own.
+        """Open a DuckDB connection with all views and macros, on which you can create tables and macros.
 
-        The checksums of all parts of the store are verified first, because kinedex cannot see what the connection will
-        read; `sql` verifies only those of the parts that a query reads.
+        The checksums of all parts of the store are verified first, because kinedex cannot know what the connection will
+        read; `sql` verifies only the parts that a query reads.
 
         Parameters
         ----------
@@ -283,12 +283,12 @@ class TakeCollection:
         Returns
         -------
         duckdb.DuckDBPyConnection
-            A connection of its own; the index is attached read-only.
+            A new connection, to which the index is attached read-only.
 
         Raises
         ------
         StoreError
-            The index or a part cannot be read; the message names the file and what to do.
+            The index or a part cannot be read; the message names the file and the remedy.
 
         Examples
         --------
@@ -298,7 +298,7 @@ class TakeCollection:
         return self.stored.connect(threads, memory_mb)
 
     def results(self, kind: str, *, pipeline: str | None = None, every: bool = False) -> pl.DataFrame:
-        """Return the results of one kind of the current pipeline: the rows of the view of this name.
+        """Return the results of one kind of the current pipeline, which are the rows of the view with this name.
 
         Parameters
         ----------
@@ -307,7 +307,7 @@ class TakeCollection:
         pipeline : str, optional
             The pipeline whose results are returned; the current one by default.
         every : bool, optional
-            Return the results of all pipelines, as the view with `all_` before the name has them.
+            True returns the results of all pipelines, as the view with the prefix `all_` does.
 
         Returns
         -------
@@ -317,7 +317,7 @@ class TakeCollection:
         Raises
         ------
         KinedexError
-            There is no such kind; the message names the nearest.
+            There is no such kind; the message suggests the nearest name.
 
         Examples
         --------
@@ -329,7 +329,7 @@ class TakeCollection:
     def scan(self, view: str) -> pl.LazyFrame:
         """Return a view as a lazy frame of polars, over exactly the files of this version.
 
-        A pattern such as ``frames/*.parquet`` would read the rows of older versions, too.
+        Use this method instead of a pattern such as ``frames/*.parquet``, which would also read rows of older versions.
 
         Parameters
         ----------
@@ -344,7 +344,7 @@ class TakeCollection:
         Raises
         ------
         KinedexError
-            The view is another one, or a part is damaged.
+            The view cannot be scanned, or a part is damaged.
 
         Examples
         --------

@@ -1,4 +1,4 @@
-"""The frames of a take: positions, orientation and words, in memory, or in a store and read when they are needed."""
+"""Provide the frames of a take (positions, orientation and words) from memory, or from a store when they are needed."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ class FrameSource(Protocol):
         ...
 
     def words(self) -> U64:
-        """Return the words alone, which can be quicker."""
+        """Return only the words, which can be faster."""
         ...
 
     def part(self, start: int, stop: int) -> FrameSource:
@@ -45,7 +45,7 @@ class LoadedFrames:
         return self._frames
 
     def words(self) -> U64:
-        """Return the words alone."""
+        """Return only the words."""
         return self._frames.words
 
     def part(self, start: int, stop: int) -> LoadedFrames:

@@ -1,4 +1,4 @@
-"""Search in a store from Python: keyframe queries, learned templates, and rankings by templates."""
+"""Search a store from Python, with keyframe queries, learned templates, and rankings by templates."""
 
 from __future__ import annotations
 
@@ -28,25 +28,25 @@ class TakeSearch(TakeCollection):
     """The methods of `Store` for searches and rankings."""
 
     def search(self, query: Query | Iterable[Query] | str | Path, *, where: str | None = None) -> pl.DataFrame:
-        """Search for the hits of keyframe queries.
+        """Return the hits of keyframe queries.
 
         Parameters
         ----------
         query : Query, sequence of Query, str or Path
-            Queries, or a query file: a shipped name, or the path of a YAML file, of which all queries are searched.
+            Queries, or a query file with several queries, given by its shipped name or the path of a YAML file.
         where : str, optional
             A SQL filter over the columns of takes.
 
         Returns
         -------
         polars.DataFrame
-            One row per range of frames that holds hits, in the order of queries, take names and starts: query,
-            take_id, take, start, stop (frames), start_seconds, stop_seconds.
+            One row per interval with hits, in the order of queries, take names and starts: query, take_id, take, start,
+            stop (frames), start_seconds, stop_seconds.
 
         Raises
         ------
         KinedexError
-            A query is over features that the store does not have, or the filter is not valid.
+            A query needs features that the store does not have, or the filter is not valid.
         ConfigError
             The query file is invalid; the message names the line.
         StoreError
@@ -55,7 +55,7 @@ class TakeSearch(TakeCollection):
         Warns
         -----
         UserWarning
-            A query is not applied to takes whose bodies lack joints, or by its known entries only.
+            A query is not applied to takes whose bodies lack joints, or only with its entries of known features.
 
         Examples
         --------
@@ -76,19 +76,19 @@ class TakeSearch(TakeCollection):
     def map(self, unit: Literal["takes", "windows"] = "takes") -> pl.DataFrame:
         """Lay out the takes in two dimensions by their words, so that takes of similar motion are close together.
 
-        It needs ``pip install 'kinedex[map]'``, and takes seconds to a minute. With more than 5,000 points, a random
-        sample is laid out, and each other point is put beside the most similar one of the sample.
+        The method needs ``pip install 'kinedex[map]'``, and runs for seconds to a minute. With more than 5,000 points,
+        a random sample is laid out, and each other point is put beside the most similar point of the sample.
 
         Parameters
         ----------
         unit : {"takes", "windows"}, optional
-            A point is a take, or a window of some four seconds of one.
+            A point stands for a take, or for a window of some four seconds of a take.
 
         Returns
         -------
         polars.DataFrame
             One row per point, in the order of takes: take_id, take, start, stop (frames), x, y (between −1 and 1),
-            cluster (0 is the largest, null for none), and traits: the features that set the cluster apart.
+            cluster (0 is the largest, null for none), and traits: the features that distinguish the cluster.
 
         Raises
         ------
@@ -130,7 +130,7 @@ class TakeSearch(TakeCollection):
         Parameters
         ----------
         stage : str, optional
-            Only the templates of this stage: ``"pipeline/stage"``, or the name of the pipeline.
+            The stage whose templates are returned: ``"pipeline/stage"``, or the name of the pipeline; by default all.
 
         Returns
         -------
@@ -161,7 +161,7 @@ class TakeSearch(TakeCollection):
         kind : {"soft", "hard"}
             The kind of the template.
         stage : str, optional
-            The stage that learned it, where several did: ``"pipeline/stage"``, or the name of the pipeline.
+            The stage that learned the template, if several did: ``"pipeline/stage"``, or the name of the pipeline.
 
         Returns
         -------
@@ -171,7 +171,7 @@ class TakeSearch(TakeCollection):
         Raises
         ------
         KinedexError
-            There is none of that name or kind, or several stages have one.
+            There is no template of this name and kind, or several stages have one.
 
         Examples
         --------
@@ -212,18 +212,18 @@ class TakeSearch(TakeCollection):
         top : int, optional
             The largest number of hits of a template; None returns all.
         tau : float, optional
-            Distances below tau make a hit.
+            An interval is a hit if its distance is below tau.
         delta : float, optional
-            Entries of a template within delta of 0 or 1 count, the others are wildcards.
+            Entries of a template within delta of 0 or 1 count; the others are wildcards.
         queries : Query or sequence of Query, optional
-            A template is ranked within the hits of the queries whose target has its name; in all frames where there
-            are none.
+            A template is ranked only within the hits of the queries whose target has its name, or in all frames if
+            there are no such queries.
         where : str, optional
             A SQL filter over the columns of takes.
         workers : int, optional
             The number of threads; by default the number of cores. The hits do not depend on it.
         mirror : bool, optional
-            True ranks by the mirror images of the templates, too: the same motions of the other side of the body.
+            True also ranks by the mirror images of the templates, which are the same motions of the other body side.
 
         Returns
         -------
@@ -234,15 +234,15 @@ class TakeSearch(TakeCollection):
         Raises
         ------
         KinedexError
-            A template cannot be found or has wildcards only, no take is selected, or features cannot be mirrored.
+            A template cannot be found or has only wildcards, no take is selected, or features cannot be mirrored.
         ParameterError
             The number of hits or the threshold is out of range.
 
         Warns
         -----
         UserWarning
-            Templates are excluded or not applied to some takes, or some have no query where others do; or one has no
-            hit: the warning names the nearest interval and the tau that would make it a hit.
+            Templates are excluded or not applied to some takes; only some of the templates have queries; or a template
+            has no hit, in which case the warning names the nearest interval and the tau that would make it a hit.
 
         Examples
         --------
@@ -286,16 +286,16 @@ class TakeSearch(TakeCollection):
         Parameters
         ----------
         take : str, int or Take
-            The take that is the example or holds it. A `Take` may be of no store, and then start and stop count its own
-            frames.
+            The take that is the example or contains it. A `Take` need not be in a store; start and stop then count the
+            frames of the `Take`.
         start, stop : int or str, optional
             The frames of the example within the take, ``45`` or ``"1.5s"``, stop excluded; by default the whole take.
         top : int, optional
             The largest number of hits; None returns all.
         tau : float, optional
-            Distances below tau make a hit.
+            An interval is a hit if its distance is below tau.
         delta : float, optional
-            Entries of the template within delta of 0 or 1 count, the others are wildcards.
+            Entries of the template within delta of 0 or 1 count; the others are wildcards.
         where : str, optional
             A SQL filter over the columns of takes.
         workers : int, optional
@@ -304,12 +304,12 @@ class TakeSearch(TakeCollection):
         Returns
         -------
         polars.DataFrame
-            One row per hit as for `rank`, the best first; the example itself is among them where it is searched.
+            One row per hit as for `rank`, the best first; the example itself is a hit if its take is searched.
 
         Raises
         ------
         KinedexError
-            There is no such take, the interval is not inside it, or it has invalid frames in the middle.
+            There is no such take, or the interval is not within the take or has invalid frames in the middle.
 
         Examples
         --------

@@ -1,4 +1,4 @@
-"""Motion templates as Python objects, learned from takes, made from a clip or read from a file, and their pictures."""
+"""Define motion templates as Python objects, learned from takes, made from a clip or read from a file."""
 
 from __future__ import annotations
 
@@ -43,23 +43,23 @@ def _no_examples() -> dict[str, U64]:
 class Template:
     """A motion template: the average of aligned examples of a class, with one row of feature values per column.
 
-    Templates come from `Template.learn`, `Template.from_clip`, `Template.load`, and from a store that a pipeline has
-    learned templates for: ``store.template("squat")``. ``len(template)`` is the number of columns.
+    Templates are returned by `Template.learn`, `Template.from_clip` and `Template.load`, and by a store in which a
+    pipeline has learned templates (``store.template("squat")``). ``len(template)`` is the number of columns.
 
     Attributes
     ----------
     name : str
-        The name of the class (subclass) that the template stands for.
+        The name of the class (subclass) that the template represents.
     kind : str
-        "soft": fractions of the clips in which a feature is on; "hard": only values that all clips share.
+        "soft" if the values are fractions of the clips, "hard" if only values that all clips share are kept.
     values : float64 array (N, f)
         The fraction of the clips in which each of f features is on, 0 to 1, in N columns.
     weights : float64 array (N,)
         The weight of each column, about 1.
     feature_weights : float64 array (f,) or None
-        How much each feature counts; None where all count the same.
+        The weight of each feature; None if all features have the same weight.
     clips : tuple of str
-        The names of the clips that it was learned from; empty for a template of a file.
+        The names of the clips from which the template was learned; empty for a template that was read from a file.
     remarks : tuple of str
         Remarks on the clips, one sentence each.
     rate_hz : float
@@ -109,21 +109,21 @@ class Template:
         takes : iterable of Take
             The clips: whole takes, or intervals of takes such as ``take[30:90]``.
         name : str, optional
-            The name of the class; by default the column `class` of the takes, which then must be the same in all.
+            The name of the class; by default the `class` of the takes, which must then be the same for all of them.
         kind : {"soft", "hard"}
-            "soft" averages the clips; "hard" keeps what all of them have in common.
+            "soft" averages the clips; "hard" keeps the values that all clips have in common.
         weights : mapping of str to float, optional
             The weights of features by name, 1 by default; a feature of weight 0 is ignored.
 
         Returns
         -------
         Template
-            The template, the same to the last bit as that of a pipeline over the same clips.
+            The template, which is exactly the one that a pipeline learns from the same clips.
 
         Raises
         ------
         KinedexError
-            There is no clip, no name, or no clip without invalid frames in its middle.
+            There is no clip or no name, or all clips have invalid frames in their middle.
 
         Examples
         --------
@@ -157,7 +157,7 @@ class Template:
         Parameters
         ----------
         take : Take
-            The take that is the example or holds it.
+            The take that is the example or contains it.
         start, stop : int or str, optional
             The frames of the example, ``45`` or ``"1.5s"``, stop excluded; by default the whole take. Invalid frames
             at the ends are cut off.
@@ -172,7 +172,7 @@ class Template:
         Raises
         ------
         KinedexError
-            The interval is not inside the take, or has invalid frames in the middle.
+            The interval is not within the take, or has invalid frames in the middle.
 
         Examples
         --------
@@ -196,7 +196,7 @@ class Template:
         path : str or Path
             A file ending in .yaml, .yml or .csv.
         name : str, optional
-            The template to read where the file has several.
+            The template to read if the file has several.
         feature_set : str or Path, optional
             The feature set that the file refers to.
 
@@ -232,8 +232,8 @@ class Template:
         Parameters
         ----------
         path : str or Path
-            A path ending in .yaml or .yml; or in .csv, where the file must be named after the template and the weights
-            of columns are not kept.
+            A path ending in .yaml, .yml or .csv. A CSV file must be named after the template, and does not store the
+            weights of columns.
 
         Raises
         ------
@@ -261,7 +261,7 @@ class Template:
 
     @property
     def description(self) -> str:
-        """Return one line about what the template is and how it was made.
+        """Return a line of text that describes the template and its origin.
 
         Returns
         -------
@@ -305,14 +305,14 @@ class Template:
         return Picture(template_figure(template, self.name, note, delta, self.feature_set, self.rate_hz))
 
     def diff(self, other: Template, delta: float = 0.05) -> Difference:
-        """Compare two templates: the features that contradict each other, and when.
+        """Compare two templates, and return the features and times at which they contradict each other.
 
         Parameters
         ----------
         other : Template
             The template to compare with, over the same features.
         delta : float, optional
-            Values within delta of 0 and 1 count as off and on; the others contradict nothing.
+            Values within delta of 0 and 1 count as off and on; other values never contradict.
 
         Returns
         -------
@@ -347,7 +347,8 @@ class Difference:
     names : tuple of str
         The names of the two templates.
     share : float
-        The share of contradictions among the entries that are wildcards in neither template; NaN where there are none.
+        The share of contradictions among the entries that are wildcards in neither template; NaN if there are no such
+        entries.
 
     Examples
     --------
@@ -378,8 +379,9 @@ class Difference:
         Returns
         -------
         polars.DataFrame
-            Columns feature, on_in and off_in (names of the templates), columns (how many), on_start_seconds,
-            on_stop_seconds, off_start_seconds and off_stop_seconds (when, in either template).
+            The columns are feature, on_in and off_in (names of the templates), columns (the number of contradicting
+            template columns), and on_start_seconds, on_stop_seconds, off_start_seconds and off_stop_seconds (the times
+            in both templates).
         """
         import polars as pl
 
@@ -432,9 +434,9 @@ def _common_class(takes: list[Take]) -> str:
 
 @checked_methods
 class Picture:
-    """A picture of a template or of the difference of two.
+    """A picture of a template, or of the difference of two templates.
 
-    A notebook shows it as SVG.
+    A notebook shows the picture as SVG.
 
     Attributes
     ----------

@@ -1,4 +1,4 @@
-"""Make takes of recordings from Python: track cameras, reconstruct depth, also live, and stabilise takes by priors."""
+"""Make takes from recordings: track camera recordings, reconstruct depth (also live), and stabilise takes by priors."""
 
 from __future__ import annotations
 
@@ -37,18 +37,18 @@ def track(
     wait_seconds: float = 0.0,
     verbose: bool = False,
 ) -> Outcome:
-    """Track recordings of calibrated cameras: each becomes a take ``NAME_tracked``.
+    """Track recordings of calibrated cameras; each recording becomes a take ``NAME_tracked``.
 
     Parameters
     ----------
     store : str, os.PathLike or Store
-        The store; it is made where there is none. An open `Store` keeps showing the version that it was opened with.
+        The store, which is created if it is missing. An open `Store` still shows the version with which it was opened.
     recordings : str or Path
-        The recordings file: name of a recording → calibration, keypoints or silhouettes, rate.
+        The recordings file, which gives each recording a calibration, keypoints or silhouettes, and a rate.
     only : iterable of str, optional
-        The names of recordings; by default all of the file.
+        The names of recordings; by default all recordings of the file.
     tracker : {"take", "frames"}
-        "take" fits all frames at once; "frames" fits one after the other, as in the thesis.
+        "take" fits all frames at once; "frames" fits one frame after the other, as in the thesis.
     executor : {"serial", "processes", "dask"}
         The way recordings are distributed over workers, as for `run_pipeline`.
     workers : int, optional
@@ -61,7 +61,7 @@ def track(
     Returns
     -------
     Outcome
-        What ran; ``outcome.summaries["track"]["takes"]`` has the names of the takes.
+        The outcome of the run; ``outcome.summaries["track"]["takes"]`` has the names of the takes.
 
     Raises
     ------
@@ -70,7 +70,7 @@ def track(
 
     Examples
     --------
-    A take of the store stands for a recording here, as a 3D track.
+    In this example, a take of the store serves as a recording, as a 3D track.
 
     >>> import shutil
     >>> copy = shutil.copytree(store_path, folder / "copy")
@@ -100,26 +100,26 @@ def stabilise(
     wait_seconds: float = 0.0,
     verbose: bool = False,
 ) -> pl.DataFrame:
-    """Stabilise takes by priors of the archive: each becomes a take ``NAME_stabilised``.
+    """Stabilise takes with priors from the archive; each take becomes a take ``NAME_stabilised``.
 
-    A take that was tracked is stabilised from the observations of its recording, any other one as a 3D track.
+    A take that was tracked is stabilised from the observations of its recording, and any other take as a 3D track.
 
     Parameters
     ----------
     store : str, os.PathLike or Store
-        The store. An open `Store` keeps showing the version that it was opened with.
+        The store. An open `Store` still shows the version with which it was opened.
     takes : str or sequence of str
-        The takes.
+        The names of the takes.
     priors : sequence of {"archive", "pose", "logical"}, optional
-        The kinds of priors; archive by default, but pose and logical for recordings with silhouettes alone.
+        The kinds of priors; by default "archive", or "pose" and "logical" for recordings with only silhouettes.
     tau : float, optional
-        The threshold of template hits: intervals with a distance below tau get priors.
+        The threshold of template hits; priors are applied to intervals with a distance below tau.
     rounds : int, optional
-        The largest number of rounds of search and stabilisation.
+        The largest number of iterations of search and stabilisation.
     body : str, optional
-        For 3D tracks: a take of the actor, whose bone lengths are used, or "estimate".
+        For 3D tracks, a take of the actor whose bone lengths are used, or "estimate".
     classes : str or Path, optional
-        A class file with ``locomotion`` and ``marks``; "own" for one class per template, without these.
+        A class file with ``locomotion`` and ``marks``, or "own" for one class per template, without these keys.
     executor : {"serial", "processes", "dask"}
         The way takes are distributed over workers, as for `run_pipeline`.
     workers : int, optional
@@ -132,7 +132,7 @@ def stabilise(
     Returns
     -------
     polars.DataFrame
-        One row for each take: take, stabilised, rounds, hits, withdrawn, and moved_mm, the mean displacement of joints.
+        One row for each take: take, stabilised, rounds, hits, withdrawn, and moved_mm (mean displacement of joints).
 
     Raises
     ------
@@ -196,24 +196,25 @@ def reconstruct(
     wait_seconds: float = 0.0,
     verbose: bool = False,
 ) -> Outcome:
-    """Reconstruct recordings of a depth camera: each becomes a take ``NAME_reconstructed``.
+    """Reconstruct recordings of a depth camera; each recording becomes a take ``NAME_reconstructed``.
 
     Parameters
     ----------
     store : str, os.PathLike or Store
-        The store, whose takes are the pose database. An open `Store` keeps showing the version that it was opened with.
+        The store, whose takes are the pose database. An open `Store` still shows the version with which it was opened.
     recordings : str or Path
-        The recordings file: name of a recording → depth images, camera, background, rate, body, truth.
+        The recordings file, which gives each recording depth images, a camera, background, rate, body and ground truth.
     only : iterable of str, optional
-        The names of recordings; by default all of the file.
+        The names of recordings; by default all recordings of the file.
     body : str, optional
         A take of the person, whose bone lengths are used, or "estimate"; a body in the recordings file overrides it.
     form : {"best", "printed"}
-        The form of the algorithm: "printed" is that of the thesis, "best" kinedex's improvement of it.
+        The form of the algorithm: "printed" follows the thesis, and "best" is an improvement by kinedex.
     direction : {"both", "forward"}
-        "both" tracks forwards and backwards in time and takes the better pose of each frame; "forward" is as live.
+        "both" tracks forwards and backwards in time and uses the better pose of each frame; "forward" works as live
+        tracking does.
     where : str, optional
-        The takes of the pose database: a SQL filter over the columns of takes.
+        A SQL filter over the columns of takes, which selects the takes of the pose database.
     executor : {"serial", "processes", "dask"}
         The way recordings are distributed over workers, as for `run_pipeline`.
     workers : int, optional
@@ -226,8 +227,8 @@ def reconstruct(
     Returns
     -------
     Outcome
-        What ran; ``outcome.summaries["reconstruct"]["takes"]`` has the names of the takes, and
-        ``outcome.summaries["evaluate_reconstruction"]["takes"]`` their mean errors in metres where the truth is known.
+        The outcome of the run; ``outcome.summaries["reconstruct"]["takes"]`` has the names of the takes, and
+        ``outcome.summaries["evaluate_reconstruction"]["takes"]`` their mean errors in metres if the truth is known.
 
     Raises
     ------
@@ -263,27 +264,28 @@ class Reconstructor:
     Parameters
     ----------
     store : str, os.PathLike or Store
-        The store, whose newest pose database is used, or without one the poses of all takes with a class.
+        The store, whose newest pose database is used; if there is none, the poses of all takes with a class are used.
     camera : str or Path
-        The camera's YAML file: width, height, fx, fy, cx, cy, depth_unit_m, and `up` or `pose` where it is
+        The YAML file of the camera: width, height, fx, fy, cx, cy, depth_unit_m, and `up` or `pose` if the camera is
         tilted.
     body : str or float, optional
-        A take of the person, whose bone lengths are used; the standing height in metres; or "estimate", which uses the
-        archive's mean body in the first second and then measures the body, in a step of some seconds. By default the
-        mean body is used.
+        A take of the person, whose bone lengths are used; the standing height in metres; or "estimate". The latter uses
+        the mean body of the archive in the first second, and then measures the body in one step that takes some
+        seconds. By default the mean body is used.
     background : str, Path or array (H, W), optional
-        The empty room: a depth image, or depths in metres; without it all measured pixels are taken for the person.
+        The empty room as a depth image, or as depths in metres. By default all measured pixels count as the person.
     rate_hz : float, optional
-        Frames per second; by default those that the camera's file states, else 30.
+        Frames per second; by default the rate that the file of the camera states, or 30.
     form : {"best", "printed"}
-        The form of the algorithm: "printed" is that of the thesis, "best" kinedex's improvement of it.
+        The form of the algorithm: "printed" follows the thesis, and "best" is an improvement by kinedex.
     stride : int, optional
-        Every stride-th row and column of pixels is used; by default chosen in the first frame that shows a person.
+        Every stride-th row and column of pixels is used; by default, the stride is chosen in the first frame that shows
+        a person.
 
     Raises
     ------
     KinedexError
-        The camera's file is invalid, or the store has no such take, or none for the pose database.
+        The file of the camera is invalid, the store has no such take, or no takes for the pose database.
 
     Examples
     --------
@@ -313,7 +315,7 @@ class Reconstructor:
 
         self._tracker = LiveTracker.open(Path(store), Path(camera), body, background, rate_hz, form, stride)
         self.last: FrameResult | None = None
-        """The result of the last frame with its explanation, in the axes of the camera; None without a person yet."""
+        """The result of the last frame, with its explanation, in camera axes; None until a person is seen."""
 
     @property
     def joints(self) -> tuple[str, ...]:
@@ -333,18 +335,18 @@ class Reconstructor:
         Parameters
         ----------
         depth : array (H, W)
-            Integers in units of the camera, or floats in metres; 0 where nothing was measured.
+            Depths as integers in units of the camera, or as floats in metres; 0 where nothing was measured.
 
         Returns
         -------
         float64 array (24, 3)
-            The joints in metres, in the world if the camera has a pose, else with Y up and the camera above the
-            origin; NaN without a person.
+            The joints in metres, in world axes if the camera has a pose, otherwise with Y up and the camera above the
+            origin; NaN if no person is seen.
 
         Raises
         ------
         KinedexError
-            The image has another size than the camera's.
+            The image has another size than the images of the camera.
 
         Examples
         --------
@@ -360,7 +362,7 @@ class Reconstructor:
         return pose
 
     def skip(self, frames: int = 1) -> None:
-        """Skip frames that are missing; after more than 0.2 s the person is detected anew.
+        """Skip frames that are missing; after more than 0.2 s without frames, the person is detected again.
 
         Parameters
         ----------

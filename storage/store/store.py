@@ -197,7 +197,7 @@ class Store(Snapshot):
         Parameters
         ----------
         where : str, optional
-            An SQL condition over the columns of takes, such as "actor IN ('bd', 'bk') AND class IS NOT NULL".
+            A SQL condition over the columns of takes, such as "actor IN ('bd', 'bk') AND class IS NOT NULL".
 
         Raises
         ------

@@ -50,7 +50,7 @@ def planned_removal(store: Store, names: Sequence[str] = (), where: str | None =
     names : sequence of str
         Names of the takes.
     where : str, optional
-        An SQL filter over the columns of takes; if names are given too, the named takes that pass the filter.
+        A SQL filter over the columns of takes; if names are given too, the named takes that pass the filter.
 
     Raises
     ------
