@@ -247,7 +247,7 @@ DOCUMENTS: dict[str, dict[str, str]] = {
         "by": "who labelled or annotated them",
         "rejected": "number of annotations that are left out, since a person has rejected them",
         "renamed": "take → name of its file, where they differ",
-        "excluded": "takes whose names the format would not give back",
+        "excluded": "takes whose names the format would change",
     },
     "labels read": {"files": "the arguments FILE", "segments": "the segments of all files"},
     "labels diff": {

@@ -1,4 +1,4 @@
-"""The application `kinedex`: its help page, the options that every command has, and the report of errors."""
+"""Define the application `kinedex`: its help page, the options of every command, and the report of errors."""
 
 from __future__ import annotations
 
@@ -29,10 +29,10 @@ from kinedex.ops.errors import KinedexError, Remedy
 from kinedex.ops.wording import visible_lines
 
 FAILED, LEFT_OUT, TIMED_OUT, INTERRUPTED = 1, 3, 124, 130
-"""Exit codes: failed; done, but source files or labels were excluded; `--timeout` ended it; Ctrl-C stopped it."""
+"""Exit codes: failed; done, but source files or labels were excluded; ended by `--timeout`; stopped by Ctrl-C."""
 
 _CODES = {"TimeLimitError": TIMED_OUT}
-"""Class of an error → exit code, where it is not `FAILED`."""
+"""A dict from class of an error to exit code, for codes other than `FAILED`."""
 
 Function = TypeVar("Function", bound=Callable[..., None])
 
@@ -41,7 +41,7 @@ class HelpPage(TyperGroup):
     """A group of commands whose help lists them by section, and whose usage errors are JSON if `--json` is given."""
 
     def format_options(self, ctx: Any, formatter: Any) -> None:
-        """Write the commands, then the options in one paragraph: the page is one screen."""
+        """Write the commands, then the options in one paragraph, so that the page fits on a screen."""
         self.format_commands(ctx, formatter)
         options = ", ".join(one.opts[0] for one in self.get_params(ctx) if one.opts[0] != "--help")
         if ctx.parent is not None:
@@ -49,7 +49,7 @@ class HelpPage(TyperGroup):
         formatter.write_text(f"Options: {options}{', ' * bool(options)}COMMAND --help")
 
     def format_commands(self, ctx: Any, formatter: Any) -> None:
-        """Write a section of the help for each panel of commands; a group within a group has one section."""
+        """Write a section of the help for each panel of commands; the help of a subgroup has one section."""
         commands = self.listed()
         width = max(len(name) for name, _ in commands)
         formatter.write_paragraph()
@@ -93,7 +93,7 @@ class Command(TyperCommand):
 @contextmanager
 def _usage_errors(args: list[str]) -> Iterator[None]:
     """Print usage errors as JSON if the arguments contain `--json`."""
-    as_json = "--json" in args  # the parser takes the arguments out of the list
+    as_json = "--json" in args  # read first, because the parser removes arguments from the list
     try:
         yield
     except Exception as fault:
@@ -105,14 +105,14 @@ def _usage_errors(args: list[str]) -> Iterator[None]:
 
 
 class Program(HelpPage):
-    """The group of all commands, which the help lists from `command_list`; each is imported when it is first used."""
+    """The group of all commands; the help lists them from `command_list`, and each is imported on first use."""
 
     def __init__(self, **attributes: Any) -> None:
         super().__init__(**attributes)
         self.commands: Any = _Commands()
 
     def listed(self) -> list[tuple[str, Any]]:
-        """Return the commands for the help, with their names; none is imported."""
+        """Return the commands for the help, with their names, without importing them."""
         return [
             (name, TyperCommand(name, help=line.summary, rich_help_panel=line.panel)) for name, line in COMMANDS.items()
         ]
@@ -123,11 +123,11 @@ class Program(HelpPage):
 
 
 _registered: dict[str, tuple[typer.Typer, str | None]] = {}
-"""Name → the command or group, which is an application of its own to Typer, and its panel, once it is imported."""
+"""A dict from name to each imported command or group, which is a separate application for Typer, and its panel."""
 
 
 class _Commands(Mapping[str, Any]):
-    """The commands by name, imported and made when they are first asked for."""
+    """The commands by name, which are imported and created when they are first requested."""
 
     def __init__(self) -> None:
         self._made: dict[str, Any] = {}
@@ -156,7 +156,7 @@ app = typer.Typer(
     epilog="Exit codes: 0 done, 1 failed, 2 usage, 3 some data excluded, 124 too long, 130 by Ctrl-C.",
     no_args_is_help=True,
     pretty_exceptions_enable=False,
-    rich_markup_mode=None,  # rich takes longer to import than all of kinedex that the help needs
+    rich_markup_mode=None,  # importing rich takes longer than importing all modules of kinedex that the help needs
 )
 
 
@@ -181,11 +181,11 @@ class TakesPage(HelpPage):
     """A group whose command `list` runs if the first argument is a store and not the name of a command."""
 
     def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
-        """Parse the arguments of the group, after `list` was put before them if they name no command."""
+        """Parse the arguments of the group; if they name no command, insert `list` before them."""
         return super().parse_args(ctx, self.completed(args))
 
     def completed(self, args: list[str]) -> list[str]:
-        """Return arguments with `list` before them unless they begin with a command."""
+        """Return the arguments, preceded by `list` unless they begin with a command."""
         return ["list", *args] if args and args[0] not in self.commands and args[0] != "--help" else args
 
 
@@ -218,7 +218,7 @@ def command(
     panel : str or None
         Section of the help that lists the command, one of `PANELS`; None in a group.
     of : typer.Typer or None
-        Group that the command belongs to; by default none.
+        Group of the command; by default none.
     name : str or None
         Name of the command; by default the function's name.
     cls : type of Command
@@ -241,22 +241,22 @@ LogOption = Annotated[
     Path | None, typer.Option("--log-file", metavar="FILE", help="Append log records to this file as JSON lines.")
 ]
 COMMON_OPTIONS = {"quiet": (QuietOption, False), "verbose": (VerboseOption, False), "log_file": (LogOption, None)}
-"""The options that every command has: parameter → its type and its default."""
+"""The options of every command, as a dict from parameter to its type and default."""
 
 NO_PATHS = ("scheduler", "note")
-"""Parameters of commands whose texts may be addresses with a scheme."""
+"""Parameters of commands whose values may be addresses with a scheme, not paths."""
 
 
 class OptionGroup:
-    """Options that belong together, as a dataclass with a field for each.
+    """Base class for dataclasses of related options, with a field for each option.
 
-    A parameter of a command whose type is such a class, `run: RunOptions`, stands for all of its options;
-    `run: Annotated[RunOptions, "workers wait"]` stands for those that are named, in this order.
+    A parameter of a command whose type is such a class, such as `run: RunOptions`, stands for all of its options;
+    `run: Annotated[RunOptions, "workers wait"]` stands for the options that are named, in this order.
     """
 
 
 def _group_of(kind: Any) -> tuple[type[OptionGroup], list[str]] | None:
-    """Return the class of a parameter that stands for several options, and their names; None for any other."""
+    """Return the class of a parameter that stands for several options, and their names; None for other parameters."""
     group, *names = get_args(kind) if get_origin(kind) is Annotated else (kind,)
     if not (isinstance(group, type) and issubclass(group, OptionGroup)):
         return None
@@ -266,7 +266,7 @@ def _group_of(kind: Any) -> tuple[type[OptionGroup], list[str]] | None:
 def _unfolded(
     signature: inspect.Signature, groups: dict[str, tuple[type[OptionGroup], list[str]]]
 ) -> list[inspect.Parameter]:
-    """Return the parameters of a command with the options of its groups in their places, and the common options."""
+    """Return the parameters of a command, with groups replaced by their options, and the common options added."""
     parameters: list[inspect.Parameter] = []
     for name, one in signature.parameters.items():
         if name not in groups:
@@ -325,7 +325,7 @@ def _guarded(function: Callable[..., None]) -> Callable[..., None]:
             raise typer.Exit(INTERRUPTED) from None
         except OSError as fault:
             if _is_closed_pipe(fault):
-                # The reader of the pipe is gone: nothing can be written to it, not even at exit.
+                # The reader of the pipe has ended, so that nothing can be written to the pipe, not even at exit.
                 os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
                 raise typer.Exit(0) from None
             message = f"{fault.filename}: {fault.strerror}" if fault.filename else str(fault)
@@ -344,7 +344,7 @@ def _guarded(function: Callable[..., None]) -> Callable[..., None]:
 
 @contextmanager
 def _logged(command: str) -> Iterator[None]:
-    """Log the begin, the end and errors of a command, as events, which are not repeated on standard error."""
+    """Log start, end and errors of a command as events, which are not repeated on standard error."""
     import logging
     import time
 
@@ -360,7 +360,7 @@ def _logged(command: str) -> Iterator[None]:
 
 
 def _is_closed_pipe(fault: OSError) -> bool:
-    """Return whether an error means that the reader of a pipe is gone; Windows reports it as an invalid argument."""
+    """Return whether the reader of a pipe has ended, which Windows reports as an invalid argument."""
     return isinstance(fault, BrokenPipeError) or (
         os.name == "nt" and fault.errno == errno.EINVAL and fault.filename is None
     )
@@ -372,7 +372,7 @@ def print_error(message: str, kind: str, code: int, as_json: bool, remedy: Remed
     Parameters
     ----------
     message : str
-        The error: what was found, what was expected, and what to do.
+        The message, which states what was found, what was expected, and what to do.
     kind : str
         Class of the error.
     code : int
@@ -380,7 +380,7 @@ def print_error(message: str, kind: str, code: int, as_json: bool, remedy: Remed
     as_json : bool
         Print `{"error": {"type", "message", "exit_code", "remedy"}}`.
     remedy : Remedy, optional
-        What to do, as a command or an action.
+        The remedy, as a command or an action.
     """
     if as_json:
         from kinedex.storage.formats.json_text import json_text

@@ -1,4 +1,4 @@
-"""The command line: `kinedex COMMAND`."""
+"""Run the command line `kinedex COMMAND`."""
 
 from __future__ import annotations
 
@@ -15,18 +15,18 @@ from kinedex.console.streams import escape_streams
 __all__ = ["app", "main"]
 
 FIRST = 250_000
-"""The number of objects at which Python first collects garbage; a command allocates some 160,000 at most."""
+"""The number of objects at which Python first collects garbage; a command allocates at most some 160,000."""
 
 
 def delay_collection() -> None:
-    """Delay the first garbage collection until there are `FIRST` objects, and skip the one at the end of the process.
+    """Delay the first garbage collection until there are `FIRST` objects, and skip the collection at exit.
 
-    After the first collection, the usual thresholds hold. Files are still closed at exit, because that depends on
-    reference counts and `atexit` and not on garbage collection.
+    After the first collection, the usual thresholds apply. Files are still closed at exit, because this depends on
+    reference counts and `atexit`, not on garbage collection.
     """
     usual = gc.get_threshold()
     if usual[0] in (0, FIRST):
-        return  # collection is switched off, or delayed already
+        return  # collection is switched off, or already delayed
 
     def go_on(phase: str, _: dict[str, int]) -> None:
         if phase == "stop":
@@ -50,7 +50,7 @@ def main() -> None:
     if sys.argv[1:2] and sys.argv[1] in COMMANDS and COMMANDS[sys.argv[1]].panel in (ASK, SEARCH):
         delay_collection()
     try:
-        app(prog_name="kinedex")  # the same name in usage messages, whichever file was started
+        app(prog_name="kinedex")  # use the same name in usage messages, whichever file was started
     except SystemExit as end:
         _leave_a_running_statement(end.code)
         raise

@@ -1,7 +1,7 @@
-"""The commands of `kinedex` in the order of the help: names, subjects, first lines, and the modules that define them.
+"""List the commands of `kinedex` in the order of the help, with first lines and the modules that define them.
 
-The help is printed from here, and a command is imported when it is asked for: a process that answers one question loads
-one command. Tests compare the lines with the commands themselves.
+The help is printed from this list, and a command is imported only when it is requested, so that a process loads one
+command. Tests compare the first lines with those of the commands themselves.
 """
 
 from __future__ import annotations
@@ -11,7 +11,7 @@ from typing import NamedTuple
 RUN, ASK, SEARCH = "Run pipelines", "Ask a store", "Search for motion"
 TRACK, MAINTAIN = "Track bodies", "Look after files and stores"
 PANELS = (RUN, ASK, SEARCH, TRACK, MAINTAIN)
-"""The groups of commands in the help, in its order: what most people need first stands first."""
+"""The groups of commands in the order of the help, which begins with what most people need first."""
 
 
 class Listed(NamedTuple):
@@ -56,11 +56,11 @@ COMMANDS = {
     "stabilise": Listed(TRACK, "tracking", "Stabilise tracked takes by what the archive knows."),
     "simulate": Listed(TRACK, "simulate", "Make recordings of takes, with their truth apart."),
     "use": Listed(MAINTAIN, "store_changes", "Choose the pipeline whose results the views show, or list them."),
-    "merge": Listed(MAINTAIN, "store_changes", "Bring the takes and labels of another store into a store."),
+    "merge": Listed(MAINTAIN, "store_changes", "Add the takes and labels of another store to a store."),
     "duplicates": Listed(MAINTAIN, "maintenance", "List takes that hold the same file or the same motion."),
     "inspect": Listed(MAINTAIN, "maintenance", "Show what a motion file, sensor file or depth image holds."),
     "verify": Listed(MAINTAIN, "maintenance", "Check the files of a store against its manifest, and the index."),
-    "repair": Listed(MAINTAIN, "maintenance", "Make again what is damaged in a store."),
+    "repair": Listed(MAINTAIN, "maintenance", "Repair the damaged files of a store."),
     "upgrade": Listed(MAINTAIN, "maintenance", "Convert a store of an older format."),
     "versions": Listed(MAINTAIN, "maintenance", "List the versions of a store and what each changed."),
     "gc": Listed(MAINTAIN, "maintenance", "Remove old versions of a store."),
@@ -68,4 +68,4 @@ COMMANDS = {
     "history": Listed(MAINTAIN, "history", "List, show and repeat what pipelines did to a store."),
     "mapping": Listed(MAINTAIN, "mappings", "Make skeleton mappings, and keep them in a store."),
 }
-"""Name → the line of the help. A test names the line that is missing or differs."""
+"""A dict from name to the line of the help; a test names lines that are missing or differ."""

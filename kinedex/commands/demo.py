@@ -1,4 +1,4 @@
-"""Run the demos: a pipeline on a synthetic archive, which is made if it is missing, or on an archive of the user."""
+"""Run the demos, which are pipelines on a synthetic archive (created if it is missing) or on the user's archive."""
 
 from __future__ import annotations
 
@@ -32,19 +32,19 @@ from kinedex.storage.store.store import Store, open_store
 ACTORS, SEED = 5, 2026
 
 FILMED = "al"
-"""The actor who is filmed in the demos of tracking and depth; the archive has the motions of the others."""
+"""The actor who is filmed in the demos of tracking and depth; the archive has the motions of the other actors."""
 
 CLIPS, OTHERS = (
     f"actor = '{FILMED}' AND class IS NOT NULL AND frames >= 45",
     f"class IS NOT NULL AND actor <> '{FILMED}'",
 )
-"""The clips that are filmed, and those of which an archive's templates and poses are."""
+"""SQL filters for the clips that are filmed, and for the clips from which templates and poses are taken."""
 
 DEPTH_TAKES = 6
 """Number of clips that are filmed in the demo of depth."""
 
 INERTIAL = "chapter7"
-"""The pipeline that injects errors into takes and detects them by sensors."""
+"""The pipeline that injects errors into takes and detects the errors by sensors."""
 
 WORN_TAKES, MIN_DURATION_S = 4, 15.0
 """Number of takes with simulated sensors, and their least duration in seconds."""
@@ -54,7 +54,7 @@ TRUTH = Path("truth") / "sensors.csv"
 
 @dataclass(frozen=True)
 class Demo:
-    """A demo: its store, the minutes of motion in its synthetic archive, and how its pipelines run."""
+    """A demo: its store, the minutes of motion in its synthetic archive, and the options of its pipeline runs."""
 
     store: Path
     minutes: float
@@ -77,7 +77,7 @@ class Demo:
         self.console.print(text, style=style, markup=False)
 
     def ingest(self) -> None:
-        """Make the synthetic archive, unless it is there, and ingest it."""
+        """Create the synthetic archive if it is missing, and ingest it."""
         refuse_other_takes(self.store, self.archive)
         make_archive(self.archive, self.minutes, ACTORS, SEED, self.workers, self.console)
         patterns = load_yaml(config_path("pipelines", "reconstruct")).mapping()["settings"]["patterns"]
@@ -86,16 +86,16 @@ class Demo:
     def run(
         self, pipeline: str, assignments: Mapping[str, str] | None = None, settings: Mapping[str, Any] | None = None
     ) -> Outcome:
-        """Run a pipeline with the texts of `--set`, or with settings by name."""
+        """Run a pipeline with settings given as texts (as by `--set`) or as values."""
         return run_pipeline(
             pipeline, self.store, assignments=assignments, settings=settings, executor=self.executor,
             workers=self.workers, terminal=Terminal(self.console),
         )  # fmt: skip
 
     def run_settled(self, pipeline: str, settings: Mapping[str, str]) -> Outcome:
-        """Run a pipeline that makes takes from recordings, and again, so that the index has these takes.
+        """Run a pipeline that makes takes from recordings twice, so that the index has these takes.
 
-        The outcome is that of the first run; a later one with the same settings has nothing to do.
+        The outcome of the first run is returned; after the second run, a run with the same settings has nothing to do.
         """
         self.message(f"store: {self.store}")
         assignments = {"source": str(self.archive), **settings}
@@ -107,21 +107,21 @@ class Demo:
 
 
 def run_demo(demo: Demo, data: Path | None, method: str = "thesis") -> Outcome:
-    """Run the pipeline `annotate`; without data, on a synthetic archive beside the store.
+    """Run the pipeline `annotate` on the user's archive or on a synthetic archive beside the store.
 
     Parameters
     ----------
     demo : Demo
         The demo.
     data : Path or None
-        Archive of the user; None makes a synthetic one.
+        Archive of the user; None for a synthetic archive.
     method : str
         Method of the stage `annotate`: thesis or best.
 
     Raises
     ------
     KinedexError
-        `data` is no folder, the store has takes of another archive only, or a stage fails.
+        `data` is not a folder, the store has only takes of another archive, or a stage fails.
     """
     settings = {"method": method}
     if data is not None and not data.is_dir():
@@ -156,7 +156,7 @@ def run_tracking_demo(demo: Demo) -> Outcome:
 
 
 def run_depth_demo(demo: Demo) -> Outcome:
-    """Film takes of one actor of a synthetic archive by a depth camera, and reconstruct them with the others' poses."""
+    """Film takes of an actor of a synthetic archive by a depth camera; reconstruct them with poses of the others."""
     from kinedex.pipelines.simulation.simulated_depth import RECORDINGS, DepthRequest, simulate_depth
 
     demo.ingest()
@@ -266,7 +266,7 @@ def figures(store: Store, recordings: Path) -> list[str]:
 
 
 def _agreement(rows: list[dict[str, Any]]) -> list[str]:
-    """Return the agreement with the simulated annotators at the thesis's τ and at the best one."""
+    """Return lines about the agreement with the simulated annotators, at the τ of the thesis and at the best τ."""
     own = [row for row in rows if (row["scope"], row["detector"], row["annotator"]) == ("all", "sensors", "all")]
     known = [row for row in own if row["f1"] is not None]
     if not known:
@@ -287,19 +287,19 @@ def _quaternion(row: Any, prefix: str) -> F64:
 
 
 def refuse_other_takes(store: Path, data: Path) -> None:
-    """Raise an error if a store has takes, none of which are from this archive; nothing is written.
+    """Raise an error if a store has takes, but none of this archive; nothing is written.
 
     Parameters
     ----------
     store : Path
         Directory of the store, which need not exist.
     data : Path
-        Folder of the motion files of the demo, compared by name, since store and folder may have been moved.
+        Folder of the demo's motion files; only its name is compared, since store and folder may have been moved.
 
     Raises
     ------
     KinedexError
-        The store holds takes, but none of this archive.
+        The store has takes, but none of this archive.
     """
     if not versions(store):
         return
@@ -318,12 +318,12 @@ def refuse_other_takes(store: Path, data: Path) -> None:
 def make_archive(
     directory: Path, minutes: float, actors: int, seed: int, workers: int | None, console: Console
 ) -> ArchiveSummary:
-    """Make a synthetic archive, or finish one that was interrupted, and print what it holds.
+    """Create a synthetic archive, or complete an interrupted one, and print a summary.
 
     Raises
     ------
     KinedexError
-        If the folder holds something else.
+        If the folder holds other files.
     """
     begin = time.perf_counter()
     console.print(f"synthetic archive of {minutes:g} minutes in {directory}", style="bold", markup=False)

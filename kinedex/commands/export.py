@@ -1,4 +1,4 @@
-"""The command `export`, which writes motions of a store as files: a take, or a data set of clips."""
+"""Define the command `export`, which writes motions of a store as files: a take, or a data set of clips."""
 
 from __future__ import annotations
 
@@ -50,7 +50,7 @@ ProcessesOption = Annotated[int | None, typer.Option(min=1, help="Worker process
 
 @dataclass(frozen=True)
 class Choice(OptionGroup):
-    """The motions that are exported: whole takes, or the segments, labels, hits or rows by which they are cut."""
+    """The motions to export: whole takes, or clips given by annotations, labels, hits or rows of a file or query."""
 
     where: WhereOption = None
     annotations: Annotated[bool, typer.Option("--annotations", help="Cut out annotated segments.")] = False
@@ -77,7 +77,7 @@ class Choice(OptionGroup):
     min_confidence: Annotated[float | None, typer.Option(min=0, max=1, help="Least confidence.")] = None
 
     def what(self, takes: list[str] | None) -> IntervalSource:
-        """Return the choice among takes."""
+        """Return the chosen takes or intervals of takes."""
         from kinedex.pipelines.export.request import IntervalSource, source_of
 
         kind, name = source_of(
@@ -90,7 +90,7 @@ class Choice(OptionGroup):
 
 @dataclass(frozen=True)
 class Clips(OptionGroup):
-    """The form of exported clips, and the choice of those that a data set has."""
+    """The form of exported clips, and the choice of clips for a data set."""
 
     margin: Annotated[
         float | None,
@@ -133,7 +133,7 @@ class Clips(OptionGroup):
     ] = None
 
     def how(self, form: str, joints: bool) -> ClipOptions:
-        """Return how clips are written in a format."""
+        """Return the options with which clips are written in a format."""
         from kinedex.pipelines.export.request import ClipOptions
 
         try:
@@ -188,7 +188,7 @@ def _export_take(store: Store, take: str, how: ClipOptions, output: str | None, 
     from kinedex.storage.formats.labels.formats import file_names
 
     form = format_named(how.form)
-    # the name of a take may be no valid file name
+    # the name of a take need not be a valid file name
     (name,) = file_names([Path(take).name])
     files = export_take(store, take, how, Path(output or f"{name}.{form.endings[0]}"))
     if as_json:
@@ -200,7 +200,7 @@ def _export_take(store: Store, take: str, how: ClipOptions, output: str | None, 
 
 
 def _document(store: Store, files: list[Path], **facts: object) -> dict[str, object]:
-    """Return what an export has made, as `--json` prints it; a take alone has no folder."""
+    """Return the files of an export in the form of `--json`; an export of a single take has no folder."""
     empty: dict[str, object] = {
         "folder": None,
         "clips": 0,
@@ -216,7 +216,7 @@ def _document(store: Store, files: list[Path], **facts: object) -> dict[str, obj
 def _export_data_set(
     store: Store, what: IntervalSource, how: ClipOptions, folder: Path, workers: int | None, as_json: bool
 ) -> None:
-    """Write a data set; exit with `LEFT_OUT` where clips could not be written."""
+    """Write a data set; exit with `LEFT_OUT` if some clips could not be written."""
     from kinedex.console.terminal import Terminal
     from kinedex.pipelines.engine.executors import make_executor
     from kinedex.pipelines.export.data_set import export_data_set, summary_lines

@@ -1,4 +1,4 @@
-"""Commands about the pipeline runs of a store: history list, show, export."""
+"""Define the commands about the pipeline runs of a store: history list, show, export."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ RunArgument = Annotated[
 def list_(
     store: StorePath,
     pipeline: Annotated[str | None, typer.Option(metavar="NAME", help="Only runs of this pipeline.")] = None,
-    last: Annotated[int | None, typer.Option(min=1, metavar="N", help="Only the last N of them.")] = None,
+    last: Annotated[int | None, typer.Option(min=1, metavar="N", help="Only the last N runs.")] = None,
     *,
     output: Output,
     as_json: JsonOption = False,

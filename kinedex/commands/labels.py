@@ -1,4 +1,4 @@
-"""Commands about labels in files (export, read, diff) and in a store (import to reject)."""
+"""Define the commands about labels in files (export, read, diff) and in a store (import to reject)."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ AnnotatorOption = Annotated[str | None, typer.Option("--annotator", metavar="NAM
 
 @dataclass(frozen=True)
 class Author(OptionGroup):
-    """The person who decides about labels, and a remark on them."""
+    """The person who decides about labels, and a remark on the labels."""
 
     annotator: AnnotatorOption = None
     note: Annotated[str | None, typer.Option("--note", metavar="TEXT", help="Remark on these labels.")] = None
@@ -66,7 +66,7 @@ class LabelFilter(OptionGroup):
     every: Annotated[bool, typer.Option("--all", help="All of them, where nothing else is chosen.")] = False
 
     def selection(self, opened: Store, *, every: bool = False) -> RowSelection:
-        """Return what the options choose; times need one take, whose frames they count."""
+        """Return the selection that the options state; times require a single take, whose frames they count."""
         from kinedex.pipelines.labels.row_selection import RowSelection
         from kinedex.pipelines.templates.stored_templates import clip_range
 
@@ -139,7 +139,7 @@ def export(
 def _segments(
     store: Store, option: str | None, stage: str | None, takes: Sequence[str], where: str | None
 ) -> tuple[Sequence[LabelsOfTake], str, int]:
-    """Return the segments that an option exports (None: annotations): by take, their origin, the number rejected."""
+    """Return the segments that an option exports (None for annotations), their origin, and the number rejected."""
     from kinedex.pipelines.annotation.annotation_tables import annotation_stage
     from kinedex.pipelines.inertial.limb_labels import limb_error_labels, limb_error_stage
     from kinedex.pipelines.labels.label_files import annotation_labels, classes_of_takes, stored_labels
@@ -172,7 +172,7 @@ def _print_export(inside: Sequence[LabelsOfTake], written: Written, output: str,
         print(visible(f"files of other names than their takes: {name_list(_pairs(written.renamed))}"))
     if written.excluded:
         names = name_list([f"'{name}'" for name in written.excluded])
-        print(visible(f"excluded, since this format would not give back their names; JSON would: {names}"))
+        print(visible(f"excluded, since this format would change their names, unlike JSON: {names}"))
 
 
 def _pairs(renamed: dict[str, str]) -> list[str]:
@@ -203,7 +203,7 @@ def read(
             | {"limb": one.limb or None, "annotator": one.annotator or None}
             for one in file.segments
         ]
-        # takes and limbs in which a person found nothing
+        # takes and limbs in which a person found no segment
         labelled = {one.take for one in file.segments}
         labelled |= {take for take, _, _ in file.covered}
         rows += [
@@ -350,7 +350,7 @@ def remove(
     by: Author,
     as_json: JsonOption = False,
 ) -> None:
-    """Take labels back; they stay in the history."""
+    """Withdraw labels; they stay in the history."""
     from kinedex.pipelines.labels.decisions import labels_by_id, withdraw_labels
     from kinedex.pipelines.labels.row_selection import selected_rows
 
@@ -402,7 +402,7 @@ def accept(
     by: Author,
     as_json: JsonOption = False,
 ) -> None:
-    """Make annotations labels."""
+    """Turn annotations into labels."""
     _decide(store, chosen_by, stage, by, accepted=True, as_json=as_json)
 
 
@@ -415,7 +415,7 @@ def reject(
     by: Author,
     as_json: JsonOption = False,
 ) -> None:
-    """Make annotations negative labels: examples of what a class is not."""
+    """Turn annotations into negative labels: examples that do not show the class."""
     _decide(store, chosen_by, stage, by, accepted=False, as_json=as_json)
 
 

@@ -24,11 +24,11 @@ from kinedex.pipelines.tracking.recording_runs import COMPILING, is_compiled, re
 from kinedex.storage.store.store import open_store
 
 PATIENCE_S = 600.0
-"""Seconds to wait for another writer of the store before a take is saved, unless --wait is given."""
+"""The longest time in seconds to wait for another writer before a take is saved, unless --wait is given."""
 
 
 def follow_and_save(store: Path, follow: Follow, body: str, form: str, wait: float | None, as_json: bool) -> None:
-    """Reconstruct each frame that is written into a folder, print it, and save all as a take at the end."""
+    """Reconstruct and print each frame that is written into a folder, and save all frames as a take at the end."""
     folder, camera = follow.follow, follow.camera
     assert folder is not None
     assert camera is not None
@@ -48,7 +48,7 @@ def follow_and_save(store: Path, follow: Follow, body: str, form: str, wait: flo
 
 
 def _follow(live: LiveRecording, idle: float | None, as_json: bool) -> None:
-    """Print frames as they are reconstructed, and their latencies at the end."""
+    """Print each reconstructed frame, and the latencies at the end."""
     tracker, frames, unseen = live.tracker, 0, 0
     latencies: list[float] = []
     try:
@@ -67,7 +67,7 @@ def _follow(live: LiveRecording, idle: float | None, as_json: bool) -> None:
 
 
 def _latencies(latencies: list[float]) -> str:
-    """Return median, 95th percentile and the longest of latencies as the end of a sentence."""
+    """Return a clause with the median, the 95th percentile and the maximum of latencies."""
     if not latencies:
         return ""
     median, most = np.percentile(latencies, [50, 95])
@@ -76,7 +76,7 @@ def _latencies(latencies: list[float]) -> str:
 
 def _save(store: Path, live: LiveRecording, wait: float, as_json: bool) -> None:
     """Save the frames as a take, or as a motion file in the working directory if the store cannot be written."""
-    with suppress(KeyboardInterrupt):  # if it is interrupted, the take has the mean bone lengths
+    with suppress(KeyboardInterrupt):  # if this is interrupted, the take has the mean bone lengths
         live.tracker.measure()
     if not live.is_seen:
         print_message(
@@ -107,7 +107,7 @@ def _save(store: Path, live: LiveRecording, wait: float, as_json: bool) -> None:
 
 @contextmanager
 def _ended_by_signals() -> Iterator[None]:
-    """Turn signals that end a process, such as that of a closed terminal, into KeyboardInterrupt in the block."""
+    """Turn signals that end a process, such as when a terminal is closed, into KeyboardInterrupt in the block."""
     if threading.current_thread() is not threading.main_thread():
         yield
         return

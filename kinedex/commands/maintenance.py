@@ -1,4 +1,4 @@
-"""Commands that look after files and stores: duplicates, inspect, verify, repair, upgrade, versions, gc, version."""
+"""Define the commands for maintenance: duplicates, inspect, verify, repair, upgrade, versions, gc, version."""
 
 from __future__ import annotations
 
@@ -59,7 +59,7 @@ def duplicates(store: StorePath, *, output: Output, as_json: JsonOption = False)
 
 
 def _duplicates_line(found: pa.Table, takes: int) -> str:
-    """Return the line below the table: takes by kind."""
+    """Return the line below the table, with the number of takes of each kind of duplicate."""
     rows = list(zip(*(found.column(name).to_pylist() for name in ("take", "same", "share")), strict=True))
     files = {take for take, same, _ in rows if same == "file"}
     whole = {take for take, same, share in rows if same == "motion" and share > 0.9} - files
@@ -153,7 +153,7 @@ def _print_facts(file: Path, found: Inspection, **more: object) -> None:
 
 
 _SENSOR_ENDINGS = (".txt", ".parquet", ".h5", ".hdf5")
-"""Endings that files of sensors have, and motion files have not."""
+"""File endings of sensor files that motion files do not have."""
 
 _NAME_COLUMNS = (
     "columns such as time_s, acc_x, gyr_x and q_w are recognised, and `columns:` of a file of sensors names any "
@@ -162,7 +162,7 @@ _NAME_COLUMNS = (
 
 
 def _is_sensor_file(file: Path) -> bool:
-    """Return whether a file holds sensor readings; raise an error if it can hold neither these nor motion."""
+    """Return whether a file holds sensor readings; raise an error if it holds neither readings nor motion."""
     ending = file.suffix.lower()
     if not file.is_file() or ending not in (*_SENSOR_ENDINGS, ".csv", ".tsv"):
         return False
@@ -179,7 +179,7 @@ def _is_sensor_file(file: Path) -> bool:
 
 
 def _inspect_sensors(file: Path, sensors: str | None, rate_hz: float | None, as_json: bool) -> None:
-    """Show what a file of inertial sensors holds."""
+    """Show the content of a file of inertial sensors."""
     from kinedex.catalog.sensorsets import SensorSet, load_sensor_set
     from kinedex.pipelines.inspection.sensor_file import inspect_sensor_file
 
@@ -192,7 +192,7 @@ def _inspect_sensors(file: Path, sensors: str | None, rate_hz: float | None, as_
 
 
 def _inspect_depth(file: Path, camera: Path, background: Path | None, picture: Path | None, as_json: bool) -> None:
-    """Show what is found in a depth image."""
+    """Show what was found in a depth image."""
     from kinedex.pipelines.inspection.depth_frame import frame_facts, inspect_depth_frame
     from kinedex.reports.depth_picture import write_frame_picture
 
@@ -208,7 +208,7 @@ def _inspect_depth(file: Path, camera: Path, background: Path | None, picture: P
 
 
 def finding_document(one: Finding) -> dict[str, object]:
-    """Return a finding of verify as a JSON object."""
+    """Return a finding of the command `verify` as a JSON object."""
     return {"file": one.file, "problem": one.problem, "remedy": asdict(one.remedy), "fault": one.fault}
 
 
@@ -250,10 +250,10 @@ def repair(
     wait: WaitOption = None,
     as_json: JsonOption = False,
 ) -> None:
-    """Make again what is damaged in a store.
+    """Repair the damaged files of a store.
 
-    Takes are read again from their sources, the index is built again, and results come back by runs of their stages.
-    What cannot be made again is kept in quarantine/ in the store, with a list.
+    Takes are read again from their sources, the index is rebuilt, and stages run again for missing results. Damaged
+    files that cannot be restored are kept in quarantine/ in the store, with a list.
     """
     from kinedex.console.terminal import Terminal
     from kinedex.pipelines.ingestion.store_repair import repair_store
@@ -303,8 +303,8 @@ def upgrade(
 ) -> None:
     """Convert a store of an older format.
 
-    Takes and results stay as they are, and so does the old version until `kinedex gc` removes it. An upgrade that was
-    interrupted goes on where it was when it is run again.
+    Takes and results are unchanged, and the old version is kept until `kinedex gc` removes it. An interrupted upgrade
+    continues where it stopped when it is run again.
     """
     from kinedex.console.terminal import Terminal
     from kinedex.storage.snapshot.manifest_files import read_newest
@@ -345,7 +345,7 @@ def gc(
 ) -> None:
     """Remove old versions of a store.
 
-    A version goes if it is not among the newest, is older than --older-than, and no process has it open.
+    A version is removed if it is not among the newest, is older than --older-than, and no process has it open.
     """
     from kinedex.storage.store.garbage_collection import collect_garbage, summary
 
@@ -384,7 +384,7 @@ def version(as_json: JsonOption = False) -> None:
 
 
 def _installed_package() -> Path | None:
-    """Return the folder of the installed package; for an editable install, that of its checkout; None without one."""
+    """Return the folder of the installed package, or of its checkout for an editable install; None if not installed."""
     import json
     from importlib.metadata import PackageNotFoundError, distribution
     from urllib.parse import urlparse

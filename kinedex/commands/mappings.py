@@ -1,4 +1,4 @@
-"""Commands about skeleton mappings: mapping new, add, list, remove."""
+"""Define the commands about skeleton mappings: mapping new, add, list, remove."""
 
 from __future__ import annotations
 
@@ -29,8 +29,8 @@ def new(
 ) -> None:
     """Write a skeleton mapping for a motion file, to be edited.
 
-    It is the mapping that fits the names of the file, or a proposal by what is recognised in it, also where the file is
-    refused. Comments name what is estimated and what was not found.
+    If a known mapping fits the names of the file, it is written; otherwise a proposal is made from the recognised
+    names, even if the file is refused. Comments name what is estimated and what was not found.
     """
     from kinedex.pipelines.inspection.mapping_proposal import propose_mapping
 
@@ -58,8 +58,8 @@ def add(
 ) -> None:
     """Keep mappings of your own in a store.
 
-    Every ingest adds them to the shipped ones; where the names of a file fit, they go first. A vocabulary of names is
-    added to the shipped one. One of the same name takes the place of the earlier one.
+    Every ingest uses them in addition to the shipped mappings, and tries them first. A vocabulary of names is added to
+    the shipped one. A mapping or vocabulary replaces an earlier one of the same name.
     """
     from kinedex.catalog.skeletons.mappings import own_files, parse_own
     from kinedex.storage.store.store import open_store

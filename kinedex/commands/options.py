@@ -1,4 +1,4 @@
-"""Arguments and options that several commands have, each with one meaning everywhere, and what they open and run."""
+"""Define arguments and options that several commands share, and functions that open stores and run pipelines."""
 
 from __future__ import annotations
 
@@ -106,7 +106,7 @@ def seconds_of(text: str | float) -> float:
     Raises
     ------
     BadParameter
-        The text is no duration.
+        The text is not a duration.
     """
     match = re.fullmatch(r"(\d+(?:\.\d+)?)\s*([smhd])", str(text).strip())
     if match is None:
@@ -115,7 +115,7 @@ def seconds_of(text: str | float) -> float:
 
 
 def wait_of(seconds: float | None) -> Wait:
-    """Return the `Wait` for the seconds of `--wait`, which prints the process that the command waits for."""
+    """Return the `Wait` for the seconds of `--wait`; it prints which process the command waits for."""
     from kinedex.storage.lock import Wait
 
     return Wait(seconds or 0.0, print_message, "--wait 10m")
@@ -171,7 +171,7 @@ def interval_of(text: str) -> tuple[int, int]:
 
 @dataclass(frozen=True)
 class Output(OptionGroup):
-    """The format in which a command shows its table, and the file that it writes it to."""
+    """The format in which a command shows its table, and the file to which the table is written."""
 
     form: FormatOption = "table"
     output: OutputOption = None
@@ -182,7 +182,7 @@ class Output(OptionGroup):
         return self.form == "table" and self.output is None
 
     def most(self, limit: int | None) -> int | None:
-        """Return the largest number of rows for the number of `--limit`; None for all."""
+        """Return the largest number of rows to show, given the number of `--limit`; None for all rows."""
         return (ROWS if limit is None and self.is_plain and sys.stdout.isatty() else limit) or None
 
     def show(self, table: pa.Table, *, paged: bool = False) -> None:
@@ -191,7 +191,7 @@ class Output(OptionGroup):
 
 
 ROWS = 200
-"""Number of rows that a terminal shows by default; a line below gives the number of further ones."""
+"""Number of rows that a terminal shows by default; a line below the table gives the number of further rows."""
 
 
 @dataclass(frozen=True)
@@ -224,9 +224,9 @@ class RunOptions(OptionGroup):
         store : Path
             Directory of the store.
         settings : mapping of str to str, optional
-            Settings by options of the command, which `--set` overrides.
+            Settings from options of the command, which `--set` overrides.
         fixed : mapping of str to str, optional
-            Settings by options of the command, which override `--set`.
+            Settings from options of the command, which override `--set`.
         """
         from kinedex.console.terminal import Terminal
         from kinedex.pipelines.engine.runner import run_pipeline
@@ -245,9 +245,9 @@ class RunOptions(OptionGroup):
 
 
 def open_for_reading(store: Path, at: str | None = None, files: Iterable[Path] = ()) -> Store:
-    """Open the version of a store that `--at` names, or else the newest that has its index.
+    """Open the version of a store that `--at` names, or by default the newest version with an index.
 
-    If this is not the newest version, a line on standard error reports it.
+    If the opened version is not the newest, a line on standard error says so.
 
     Parameters
     ----------
@@ -261,7 +261,7 @@ def open_for_reading(store: Path, at: str | None = None, files: Iterable[Path] =
     Raises
     ------
     KinedexError
-        There is no store or no such version, or the option holds no version.
+        There is no store or no such version, or the value of the option is not a version.
     """
     from kinedex.console.terminal import is_quiet
     from kinedex.storage.store.store import open_store
@@ -284,7 +284,7 @@ def open_for_reading(store: Path, at: str | None = None, files: Iterable[Path] =
 def _leave_pandas_out() -> None:
     """Prevent PyArrow from importing pandas, which it does on the first conversion of a list, if it is installed.
 
-    That import takes as long as all others of a command. `to_pandas` of a table still imports it later.
+    Importing pandas takes as long as all other imports of a command. `to_pandas` of a table still imports it later.
     """
     if "pandas" in sys.modules:
         return
@@ -306,7 +306,7 @@ class _NoPandas:
 
 
 def writer_of(opened: Store, wait: float | None) -> StoreWriter:
-    """Return the writer of the store that was opened, after it has waited for another as `--wait` says."""
+    """Return a writer of an open store, after waiting for another writer for at most the time of `--wait`."""
     from kinedex.storage.store.writer import StoreWriter
 
     return StoreWriter.open(opened.path, opened.feature_set, opened.rate_hz, wait_of(wait))

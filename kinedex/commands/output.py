@@ -36,7 +36,7 @@ def print_message(text: str) -> None:
 
 
 def print_path(path: Path) -> None:
-    """Print a path on a line of its own: in a pipe byte for byte, on a terminal with control characters escaped."""
+    """Print a path on a separate line, byte for byte in a pipe, with control characters escaped on a terminal."""
     print(visible(str(path)) if sys.stdout.isatty() else path)
 
 
@@ -52,12 +52,12 @@ def show_table(table: pa.Table, form: str = "table", output: Path | None = None,
     table : pyarrow.Table
         The result.
     form : str
-        Format: table, csv, json or parquet. For a file, "table" stands for the format of the file's ending, CSV where
-        it has none.
+        Format: table, csv, json or parquet. For a file, "table" stands for the format of the file's ending, or CSV if
+        it has no ending.
     output : Path or None
-        File to write; standard output for None.
+        File to write; None for standard output.
     paged : bool, optional
-        Show a table that is longer than the terminal in a pager.
+        True to show a table that is longer than the terminal in a pager.
 
     Raises
     ------
@@ -81,7 +81,7 @@ def show_table(table: pa.Table, form: str = "table", output: Path | None = None,
     elif form == "parquet" and sys.stdout.isatty():
         raise KinedexError("a terminal cannot show Parquet: write it to a file with --output FILE")
     else:
-        # a terminal gets escaped text, a pipe the same bytes as a file
+        # a terminal gets escaped text, and a pipe the same bytes as a file
         sys.stdout.write(data.decode()) if sys.stdout.isatty() else sys.stdout.buffer.write(data)
 
 
@@ -103,12 +103,12 @@ def _pooled_metrics(outcome: Outcome) -> list[dict[str, object]]:
 
 
 def show_outcome(outcome: Outcome, store: Path, as_json: bool = False, *, repeat: bool = False) -> None:
-    """Print how a pipeline ended and where its report is; exit with `LEFT_OUT` where source files were excluded.
+    """Print how a pipeline ended and where its report is; exit with `LEFT_OUT` if source files were excluded.
 
     Parameters
     ----------
     outcome : Outcome
-        What `run_pipeline` returned.
+        The outcome that `run_pipeline` returned.
     store : Path
         Directory of the store.
     as_json : bool
@@ -158,7 +158,7 @@ def _failure_lines(outcome: Outcome, store: Path) -> list[str]:
 
 
 def _file_lines(outcome: Outcome) -> list[str]:
-    """Return lines about the source files of a run that stores known failures: a line for each kind, with files."""
+    """Return a line with source files for each kind of failure, for a run that stores known failures."""
     files = outcome.files
     failed = [f"failed: {one.reason}" for one in files.failed[:FEW]]
     if len(files.failed) > FEW:

@@ -27,7 +27,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Pages(OptionGroup):
-    """The page that a command was asked to write."""
+    """The page of moving figures that a command should write, if requested."""
 
     html: Annotated[
         Path | None,
@@ -37,7 +37,7 @@ class Pages(OptionGroup):
         int, typer.Option("--figures", min=1, metavar="N", help="Largest number of figures of a page or picture.")
     ] = FIGURES
     amounts: list[str] = field(default_factory=list, init=False)
-    """The sentences about how many figures are shown."""
+    """The sentences that state how many figures are shown."""
 
     @property
     def picture(self) -> Path | None:
@@ -62,7 +62,7 @@ class Pages(OptionGroup):
             self.amounts.append(write_template_page(store, one, delta, self.html, self.figures))
 
     def write_takes(self, store: Store, takes: pa.Table, group: str | None) -> None:
-        """Write the page on which all takes move as small figures."""
+        """Write the page that shows takes as small moving figures."""
         if self.html is not None:
             from kinedex.reports.motion_pages.takes_page import write_takes_page
 
@@ -78,7 +78,7 @@ class Pages(OptionGroup):
 
 @dataclass(frozen=True)
 class HitsOutput(Pages, Output):
-    """The form and the file of a table of hits, and the page and the picture that show them."""
+    """The format and the file of a table of hits, and the page and the picture that show the hits."""
 
     output: Annotated[
         Path | None,

@@ -1,4 +1,4 @@
-"""Commands that run pipelines, or prepare and compare runs: init, demo, run, plan, ingest, synth, report compare."""
+"""Define the commands that prepare, run and compare pipelines: init, demo, run, plan, ingest, synth, report compare."""
 
 from __future__ import annotations
 
@@ -137,7 +137,7 @@ def demo(
 ) -> None:
     """Run everything, from motion files to a report.
 
-    The archive is synthetic, and made where it is missing; --data runs the same on an archive of your own.
+    The archive is synthetic, and created if it is missing; --data runs the demo on your own archive instead.
     """
     from kinedex.commands.demo import Demo, run_demo, run_depth_demo, run_inertial_demo, run_tracking_demo
     from kinedex.console.terminal import message_console
@@ -158,7 +158,7 @@ def demo(
 def run(pipeline: PipelineArgument, store: StoreOption, *, options: RunOptions, as_json: JsonOption = False) -> None:
     """Run the stages of a pipeline that are not up to date.
 
-    A stage runs where its code, its parameters or its inputs changed since it last ran.
+    A stage runs if its code, its parameters or its inputs have changed since its last run.
     """
     show_outcome(options.run(pipeline, store), store, as_json)
 
@@ -221,8 +221,8 @@ def ingest(
 ) -> None:
     """Read motion files into a store and index them.
 
-    This is the pipeline `ingest`. Takes are committed batch by batch: after an interruption the same command continues
-    where it was.
+    This is the pipeline `ingest`. Takes are committed batch by batch; after an interruption, the same command continues
+    where it stopped.
     """
     fixed = {f"ingest.{name}": "true" for name, wanted in (("prune", prune), ("strict", strict)) if wanted}
     if rate is not None:
@@ -309,7 +309,7 @@ def compare(
 
 
 def _names(a: str, b: str, one: str, other: str) -> tuple[str, str]:
-    """Return the names of two evaluations for tables; if they are equal, the command's arguments are appended."""
+    """Return the names of two evaluations for tables; if the names are equal, the command's arguments are appended."""
     if one != other:
         return one, other
     return f"{one} ({a})", f"{other} ({b})"

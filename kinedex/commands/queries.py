@@ -1,4 +1,4 @@
-"""Commands about keyframe queries: search, query from-clip, which proposes one, keyframes learn, show and export."""
+"""Define the commands about keyframe queries: search, query from-clip, keyframes learn, show and export."""
 
 from __future__ import annotations
 
@@ -127,7 +127,7 @@ def search(
 
 
 def _show_hits(hits: pa.Table, shown: pa.Table, save: str | None, run: str | None) -> None:
-    """Print the first hits as a table, and a line with the totals below; only the line if hits were saved."""
+    """Print the first hits as a table with a line of totals below; if hits were saved, print only the line."""
     if save is not None:
         print_message(f"{counted(hits.num_rows, 'hit')} saved as '{save}' (run {run})")
         return
@@ -146,7 +146,7 @@ def _part(shown: int) -> str:
 
 
 def _explanation(table: pa.Table) -> pa.Table:
-    """Return the columns of an explanation that a terminal shows."""
+    """Return those columns of an explanation that are shown on a terminal."""
     from kinedex.console.tables import wrapped
     from kinedex.console.terminal import make_console
 
@@ -283,7 +283,7 @@ def export(
 
 
 def _stored(store: Store, classes: list[str] | None, pipeline: str | None) -> StoredQueries:
-    """Return the newest learned queries, and print which other stages have some of the same classes."""
+    """Return the newest learned queries, and print which other stages have queries of the same classes."""
     from kinedex.pipelines.keyframes.stored_queries import stored_queries
 
     found = stored_queries(store, classes, pipeline)

@@ -1,4 +1,4 @@
-"""Commands about motion templates: rank, which lists where they fit best, template list, show, diff, from-clip."""
+"""Define the commands about motion templates: rank, template list, show, diff, from-clip."""
 
 from __future__ import annotations
 
@@ -119,7 +119,7 @@ def rank(
 
 
 def _show_hits(found: StoreRanking, tau: float, summary: str) -> None:
-    """Print the hits, or the nearest intervals if there is no hit, as a table with a line below it."""
+    """Print the hits, or the nearest intervals if there is no hit, as a table with a summary line below."""
     table = found.table()
     if not table.num_rows and found.nearest_table().num_rows:
         print_message(f"No hit below {tau:g}; the nearest places, which are none:")
@@ -142,9 +142,9 @@ def _check_source(names: list[str], every: bool, take: str | None, start: str | 
 
 
 def _summary(rankings: Sequence[Ranking], tau: float, top: int, preselected: bool, seconds: float) -> str:
-    """Return the line below the table: hits, frames, the shares that were not searched, and the time.
+    """Return the line below the table, with hits, frames, the shares that were not searched, and the time.
 
-    If a template has as many hits as were asked for, the line adds that there may be more.
+    If a template has as many hits as were requested, the line adds that there may be more.
     """
     from kinedex.ops.wording import counted
 

@@ -1,4 +1,4 @@
-"""The commands `simulate …`, which make recordings of takes whose truth is known."""
+"""Define the commands `simulate …`, which make recordings of takes with known ground truth."""
 
 from __future__ import annotations
 
@@ -120,7 +120,7 @@ def imu(
         typer.Option(min=0, max=60, metavar="SECONDS", help="Rest in the first pose before, and in the last after."),
     ] = 0.0,
     mount: Annotated[
-        str, typer.Option(help="random: a turn of its own for each actor and limb; limb: the axes of the limb.")
+        str, typer.Option(help="random: another rotation for each actor and limb; limb: the axes of the limb.")
     ] = "random",
     at: AtOption = None,
     as_json: JsonOption = False,
@@ -143,7 +143,7 @@ def imu(
 
 
 def _report(document: Mapping[str, object], lines: Iterable[str], file: Path, as_json: bool) -> None:
-    """Print what was made, as a JSON object or as lines and the file to begin with."""
+    """Print a summary of the recordings as a JSON object, or as lines with the file to read first."""
     if as_json:
         print_json(document)
         return

@@ -1,4 +1,4 @@
-"""Commands that change what a store shows and holds: use, merge, takes remove, takes readmit."""
+"""Define the commands that change the content of a store or its views: use, merge, takes remove, takes readmit."""
 
 from __future__ import annotations
 
@@ -89,7 +89,7 @@ def remove(
 ) -> None:
     """Remove takes; their motion files and their labels stay.
 
-    Later ingests pass the files of these takes over, until `kinedex takes readmit`.
+    Later ingests skip the files of these takes, until `kinedex takes readmit`.
     """
     from kinedex.storage.index.builder import build_index
     from kinedex.storage.store.store import open_store
@@ -181,7 +181,7 @@ def merge(
     wait: WaitOption = None,
     as_json: JsonOption = False,
 ) -> None:
-    """Bring the takes and labels of another store into a store.
+    """Add the takes and labels of another store to a store.
 
     Frames are copied; no motion file is read. Labels come with their history, results do not: run pipelines again.
     """

@@ -1,4 +1,4 @@
-"""Commands that ask a store: sql, takes, explore."""
+"""Define the commands that show the content of a store: sql, takes, explore."""
 
 from __future__ import annotations
 
@@ -45,7 +45,7 @@ LimitOption = Annotated[
 
 
 class _SqlCommand(Command):
-    """A command whose statement may begin with a comment: two dashes and white space before any = are no option."""
+    """A command whose statement may begin with a comment; two dashes and white space before any = are no option."""
 
     def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
         if "--" not in args:
@@ -133,9 +133,9 @@ def _print_database(store: Store, as_json: bool) -> None:
 
 
 def _bound_memory() -> None:
-    """Limit the memory of this process to that of the machine, as DuckDB's own limit does not count texts and lists.
+    """Limit the memory of this process to that of the machine, since DuckDB's limit does not count texts and lists.
 
-    A statement that needs more then ends with an error; without this the system would kill the process.
+    A statement that needs more memory then ends with an error; without a limit, the system would kill the process.
     """
     try:
         import resource
@@ -207,7 +207,7 @@ def takes(
 
 
 def _nothing_chosen(store: Store, where: str) -> str:
-    """Return a hint for a filter that chooses no take: the values of the columns that it names."""
+    """Return a hint for a filter that selects no take, with the values of the columns that the filter names."""
     every = store.takes_table()
     words = dict.fromkeys(re.findall(r"\w+", re.sub(r"'(?:[^']|'')*'", " ", where)))
     texts = {name for name in every.column_names if str(every.schema.field(name).type) == "string"}
@@ -220,7 +220,7 @@ def _nothing_chosen(store: Store, where: str) -> str:
 
 
 def _take_remarks(table: pa.Table, columns: Sequence[str]) -> Iterator[str]:
-    """Yield remarks on takes whose columns are not shown: bodies that lack joints, and warnings."""
+    """Yield remarks on bodies that lack joints and on warnings, if the columns about them are not shown."""
     partial = table.num_rows - table.column("known").null_count
     if partial:
         yield f"{counted(partial, 'body', 'bodies')} without some joints (column known)"

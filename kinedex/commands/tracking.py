@@ -1,4 +1,4 @@
-"""Commands that make takes of recordings, or better ones: track, stabilise, reconstruct."""
+"""Define the commands that make takes from recordings or improve takes: track, stabilise, reconstruct."""
 
 from __future__ import annotations
 
@@ -58,8 +58,8 @@ def stabilise(
     priors: Annotated[
         str | None, typer.Option(metavar="KINDS", help="archive, pose, logical; several with a comma between.")
     ] = None,
-    tau: Annotated[float, typer.Option(min=1e-6, max=1, help="Distances below tau lend priors.")] = 0.13,
-    rounds: Annotated[int, typer.Option(min=1, max=20, help="Most rounds.")] = 2,
+    tau: Annotated[float, typer.Option(min=1e-6, max=1, help="Hits with distances below tau give priors.")] = 0.13,
+    rounds: Annotated[int, typer.Option(min=1, max=20, help="Largest number of rounds.")] = 2,
     body: Annotated[
         str, typer.Option(metavar="TAKE", help="Of 3D tracks: a take of the actor whose bone lengths count.")
     ] = "estimate",

@@ -1,6 +1,6 @@
-"""Log records of kinedex on standard error and in files of JSON lines.
+"""Write log records of kinedex to standard error and to files of JSON lines.
 
-The library only emits records, below the logger `kinedex`; the command line decides who gets them.
+The library only emits records, below the logger `kinedex`; the command line decides where they are written.
 """
 
 from __future__ import annotations
@@ -15,16 +15,16 @@ from kinedex.ops.errors import KinedexError
 from kinedex.ops.wording import json_escaped, visible_lines
 
 _STANDARD = frozenset((*vars(logging.makeLogRecord({})), "message", "asctime"))
-"""The attributes that every record has; all others are fields that the code which logged has added."""
+"""The attributes that every record has; all others are fields that were added with `extra=`."""
 
 
 def _is_not_an_event(record: logging.LogRecord) -> bool:
-    """Return whether a record is no event; the events of a run, failures included, are already on the terminal."""
+    """Return whether a record is not an event; events of a run, such as failures, are already on the terminal."""
     return not hasattr(record, "event")
 
 
 class _Lines(logging.Formatter):
-    """Format a record as lines, in which line breaks of names are escaped, so that they cannot forge lines."""
+    """Formatter that escapes line breaks in names, so that a name cannot forge further lines."""
 
     def format(self, record: logging.LogRecord) -> str:
         """Format a record as text, with control characters escaped."""
@@ -32,7 +32,7 @@ class _Lines(logging.Formatter):
 
 
 class JsonLines(logging.Formatter):
-    """Format a record as one line of JSON: time, level, logger, message, and the fields added with `extra=`."""
+    """Formatter of records as JSON lines with time, level, logger, message, and the fields added with `extra=`."""
 
     def format(self, record: logging.LogRecord) -> str:
         """Format a record as one line of JSON."""
@@ -54,11 +54,11 @@ def configure_logging(*, quiet: bool = False, verbose: bool = False, log_file: P
     Parameters
     ----------
     quiet : bool
-        True prints only errors to standard error, False prints warnings as well.
+        True prints only errors to standard error; False prints warnings as well.
     verbose : bool
         Print all records to standard error.
     log_file : Path or None
-        File to append all records to, one JSON object a line.
+        File to which all records are appended, one JSON object per line.
 
     Raises
     ------

@@ -1,8 +1,8 @@
-"""Convert plain arguments of the command line (texts, paths, numbers, absent ones) without pydantic.
+"""Convert plain arguments of the command line (texts, paths, numbers, absent values) without pydantic.
 
 Typer builds a pydantic validator for every parameter of a command, given or not, and importing pydantic takes longer
-than the rest of parsing a command line. Most parameters are not given, and most others are plain. All other values,
-and invalid ones, are converted by Typer itself, so that its error messages stay the same.
+than the rest of parsing a command line. Most parameters are absent, and most of the others have plain values. Other
+values and invalid ones are converted by Typer itself, so that its error messages stay the same.
 """
 
 from __future__ import annotations
@@ -15,18 +15,18 @@ from pathlib import Path
 from typing import Any, get_args, get_origin
 
 _NUMBERS = {int: re.compile(r"\d{1,9}", re.ASCII), float: re.compile(r"\d{1,9}(\.\d{1,9})?", re.ASCII)}
-"""Texts of numbers that all parsers convert to the same value."""
+"""Patterns of number texts that all parsers convert to the same value."""
 
 _PATH_CHECKS = ("exists", "resolve_path", "writable", "path_type")
 
 
 def convert_plain_values(parameters: Iterable[Any]) -> None:
-    """Make parameters of a command convert plain values by themselves, if this version of Typer allows it.
+    """Make the parameters of a command convert plain values without Typer, if this version of Typer allows it.
 
     Parameters
     ----------
     parameters : iterable of typer.core.TyperArgument or typer.core.TyperOption
-        The parameters, which are changed; those that were changed before stay so.
+        The parameters, which are changed; parameters that were changed before are left unchanged.
     """
     for one in parameters:
         has_parts = hasattr(one, "get_runtime_param") and hasattr(one, "type_descriptor")
@@ -35,14 +35,14 @@ def convert_plain_values(parameters: Iterable[Any]) -> None:
 
 
 class _Values:
-    """The converter of a parameter: plain values are converted here, others by Typer's, which is then created."""
+    """The converter of a parameter, which passes values that are not plain to Typer's converter, created on demand."""
 
     def __init__(self, as_always: Any, descriptor: Any) -> None:
         self._as_always = as_always
         self._descriptor = descriptor
 
     def coerce(self, value: Any, param: Any, ctx: Any) -> Any:
-        """Return the converted value of a parameter; None, or an empty tuple for a multiple one, if it is absent."""
+        """Return the converted value of a parameter; if it is absent, None, or an empty tuple if it can be repeated."""
         several = param.multiple or param.nargs == -1
         if value is None:
             return () if several else None

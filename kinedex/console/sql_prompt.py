@@ -1,4 +1,4 @@
-"""The interactive SQL prompt, which works like the DuckDB shell, and hints about rows that are not shown."""
+"""Run the interactive SQL prompt, which works like the DuckDB shell, and make hints about rows that are not shown."""
 
 from __future__ import annotations
 
@@ -33,16 +33,16 @@ _QUOTED = re.compile(r"'(?:[^']|'')*'|--[^\n]*|/\*.*?\*/", re.DOTALL)
 
 
 def hidden_rows_hints(store: Store, statement: str, rows: int) -> list[str]:
-    """Return a hint for each view in a statement that is empty only because the rows are of another pipeline.
+    """Return a hint for each view in a statement that is empty only because its rows are of another pipeline.
 
     Parameters
     ----------
     store : Store
-        The store that was asked.
+        The store that was queried.
     statement : str
-        The SQL.
+        The SQL statement.
     rows : int
-        Number of rows of the answer. If it is 0, hints are also given for views that do show some rows.
+        Number of rows of the result. If it is 0, hints are also given for views that show some rows.
     """
     words = set(re.findall(r"\w+", _QUOTED.sub(" ", statement).lower()))
     hints = []
@@ -81,7 +81,7 @@ _ENTRIES: dict[str, View | Macro] = {entry.name: entry for entry in (*VIEWS, *MA
 
 
 def history_file() -> Path:
-    """Return the file of the prompt's history, in the folder that the system has for such files."""
+    """Return the file of the prompt's history, in the folder of the system for such files."""
     local = os.environ.get("LOCALAPPDATA") if os.name == "nt" else None
     base = os.environ.get("XDG_STATE_HOME") or local or Path.home() / ".local" / "state"
     return Path(base) / "kinedex" / "sql_history"
@@ -95,20 +95,20 @@ def run_prompt(
     timeout: float | None = None,
     max_rows: int | None = None,
 ) -> None:
-    """Read statements and dot commands and answer them, until the input ends.
+    """Read statements and dot commands, and print their results, until the input ends.
 
     Parameters
     ----------
     store : Store
-        The store to ask.
+        The store to query.
     console : Console
-        Where answers are printed.
+        The console on which results are printed.
     read : callable
-        Function that asks for one line; it raises EOFError at the end, KeyboardInterrupt at Ctrl-C.
+        Function that prompts for one line; it raises EOFError at the end, and KeyboardInterrupt at Ctrl-C.
     timeout : float, optional
         Seconds that a statement may take.
     max_rows : int, optional
-        Most rows of an answer that are printed and held in memory; all if None.
+        Largest number of rows of a result that are printed and kept in memory; None for all.
     """
     with _history() if read is input else nullcontext():
         console.print(f"{store!r}; .help for help", markup=False)
@@ -126,9 +126,9 @@ def run_prompt(
 
 
 def _take_line(store: Store, console: Console, typed: str, timeout: float | None, max_rows: int | None) -> str | None:
-    """Run the complete statements of the text typed so far, and return the rest; None for the command `.quit`."""
+    """Run the complete statements typed so far, and return the text after them; None for the command `.quit`."""
     if "\n" not in typed and typed.strip().startswith("."):
-        # people type a semicolon after a command, as the DuckDB shell allows it
+        # a semicolon after a command is allowed, as in the DuckDB shell
         words = typed.strip().rstrip(";").split() or ["."]
         if words[0] in (".quit", ".exit"):
             return None
@@ -199,7 +199,7 @@ def _dot(store: Store, console: Console, words: list[str]) -> None:
 
 
 def _views(store: Store) -> set[str]:
-    """Return the names of the views of the store, without the tables below them."""
+    """Return the names of the views of the store, without the tables on which they are based."""
     found = store.sql("SELECT DISTINCT table_name FROM information_schema.columns").column(0).to_pylist()
     return {name for name in found if not name.startswith("stored_")}
 
@@ -221,7 +221,7 @@ def _describe(store: Store, console: Console, command: str, name: str) -> None:
 
 @contextmanager
 def _history() -> Iterator[None]:
-    """Switch on line editing, history and completion where Python has readline, which Windows lacks."""
+    """Enable line editing, history and completion if Python has readline, which is missing on Windows."""
     try:
         import readline
     except ImportError:
@@ -245,7 +245,7 @@ def _history() -> Iterator[None]:
 
 
 def completer(names: Iterable[str]) -> Callable[[str, int], str | None]:
-    """Return the function that gives readline the n-th name with a prefix."""
+    """Return the function that readline calls for the n-th name with a prefix."""
     known = sorted(set(names))
 
     def complete(text: str, n: int) -> str | None:

@@ -1,4 +1,4 @@
-"""Standard output and standard error: escaped in a terminal, UTF-8 in files and pipes."""
+"""Configure standard output and standard error: escaped text on a terminal, UTF-8 in files and pipes."""
 
 from __future__ import annotations
 
@@ -12,19 +12,19 @@ from kinedex.ops.wording import visible_text
 
 
 class EscapedStream:
-    """A terminal to which plain text is written: `print`, log records, warnings, errors of usage.
+    """A stream that escapes the plain text written to a terminal by `print`, log records, warnings and usage errors.
 
     Parameters
     ----------
     stream : TextIO
-        The terminal; everything but `write` is passed on to it.
+        The terminal; all methods except `write` and `writelines` are passed on to it.
     """
 
     def __init__(self, stream: TextIO) -> None:
         self.unescaped = stream
 
     def write(self, text: str) -> int:
-        """Write a text with its line breaks, and everything else as `visible` does."""
+        """Write a text; line breaks are kept, and all other control characters are escaped as `visible` does."""
         self.unescaped.write(visible_text(text))
         return len(text)
 
@@ -38,12 +38,12 @@ class EscapedStream:
 
 
 def unescaped(stream: TextIO) -> TextIO:
-    """Return the stream below an `EscapedStream`, for output of rich, whose ESC sequences must not be escaped."""
+    """Return the stream that an `EscapedStream` wraps, for output of rich, whose ESC sequences must not be escaped."""
     return stream.unescaped if isinstance(stream, EscapedStream) else stream
 
 
 def escape_streams() -> None:
-    """Escape what the program writes to terminals; files and pipes get UTF-8, and names byte for byte."""
+    """Escape all output to terminals; write UTF-8 to files and pipes, with file names byte for byte."""
     codecs.register_error("kinedex-names", _encode_name)
     for name in ("stdout", "stderr"):
         stream = getattr(sys, name)
@@ -54,7 +54,7 @@ def escape_streams() -> None:
 
 
 def _encode_name(fault: UnicodeError) -> tuple[str | bytes, int]:
-    """Encode a file name's byte that is not UTF-8 as that byte, and escape any other surrogate."""
+    """Encode a byte of a file name that is not UTF-8 as this byte, and escape any other surrogate."""
     try:
         return codecs.lookup_error("surrogateescape")(fault)
     except UnicodeError:

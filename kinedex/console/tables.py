@@ -31,21 +31,21 @@ TALL = 4
 """Average number of lines of a row above which each row is printed as a block."""
 
 _LINES = {b"lines": b"yes"}
-"""Metadata of a column whose texts are broken into lines."""
+"""Metadata that marks a column whose texts have line breaks."""
 
 FEW_ROWS, MANY_COLUMNS = 5, 7
 """Tables with more rows and at least as many columns show only the most important columns if rows would be tall."""
 
-_TRIED = 200  # number of rows by which the layout is chosen
+_TRIED = 200  # number of rows that are laid out to choose the form
 
 _HEAD, _FOOT = 2, 2
-"""Lines above the rule of a table whose headings have one line each; the rule and the empty line at the end."""
+"""Numbers of lines before the rows of a table with headings of one line, and after its rows."""
 
 _CAP = 60
-"""Maximum number of characters that a column is padded to in a file or a pipe, and that it counts for in a terminal."""
+"""Largest width to which a column is padded in a file or a pipe, and with which it counts on a terminal."""
 
 _NARROWEST = 4
-"""Fewest characters that a column of a terminal needs, with the space between two."""
+"""Minimum width of a column on a terminal, including the space between two columns."""
 
 _TALL_FIRST = 12
 """Minimum width of the names in a table whose headings have several lines."""
@@ -65,19 +65,19 @@ _EARLY = (
     "name", "take", "query", "template", "of_take", "actor", "class", "subclass", "start", "cost", "same", "stop",
     "share",
 )  # fmt: skip
-"""Columns of most interest to users, the most important first."""
+"""Columns that are most important to users, the most important first."""
 
 _LATE = re.compile(r"(^|_)(id|run|checksum|recipe|root|source|mtime|bytes|fingerprint)(_|$)")
-"""Names of columns of least interest to users: keys, checksums and places."""
+"""Pattern of the names of columns that are least important to users: keys, checksums and places."""
 
 
 class PrintedTable:
-    """An Arrow table that rich prints in a form for a terminal, a file or a pipe; no value is ever cut.
+    """An Arrow table that rich prints in a form for a terminal, a file or a pipe; no value is ever truncated.
 
-    In a file or a pipe a row is one line, however long. In a terminal, columns share the width and long values are
-    wrapped between words. Where rows then have more than `TALL` lines on average, or words or names of columns would
-    be broken, few rows are blocks with a line for every column; of many rows, those columns that people read first
-    are a table, and a line below names the others.
+    In a file or a pipe, each row is one line of any length. On a terminal, columns share the width, and long values are
+    wrapped between words. If rows would then have more than `TALL` lines on average, or if words or names of columns
+    would be broken, another form is used. A few rows are printed as blocks with a line for every column. Many rows are
+    printed as a table of the most important columns, with a line below that names the other columns.
 
     Parameters
     ----------
@@ -121,7 +121,7 @@ class PrintedTable:
             yield "".join(segment.text for segment in line)
 
     def _columns(self, console: Console, options: ConsoleOptions) -> list[str] | None:
-        """Return the names of the columns that are shown as a table; None where each row is a block."""
+        """Return the names of the columns that are shown as a table; None if each row is printed as a block."""
         names: list[str] = self._table.column_names
         tried = self._table.slice(0, _TRIED)
         rows = _texts(tried, self._null)
@@ -131,12 +131,12 @@ class PrintedTable:
         if not broken and not tall:
             return names
         if 0 < len(rows) <= FEW_ROWS or len(set(names)) < len(names) or (len(names) < MANY_COLUMNS and tall):
-            return None  # few rows, or few columns with long texts, all of which should be shown
+            return None  # few rows, or few columns with long texts; all columns should be shown
         fitting = _fitting({texts[0]: min(_CAP, max(map(cell_len, texts))) for texts in columns}, options.max_width)
         return fitting if len(fitting) >= _MIN_COLUMNS else None if rows else names
 
     def _is_tall(self, tried: pa.Table, console: Console, options: ConsoleOptions) -> bool:
-        """Return whether rich breaks names of columns, or a row into many lines."""
+        """Return whether rich would break the names of columns, or break rows into many lines."""
         if not tried.num_columns:
             return False
         if tried.num_columns * _NARROWEST > options.max_width:
@@ -150,12 +150,12 @@ class PrintedTable:
 
 
 def _longest_word(text: str) -> int:
-    """Return the width of the longest word that is kept whole."""
+    """Return the width of the longest word in a text that is not broken."""
     return max((width for word in text.split() if (width := cell_len(word)) <= _WORD), default=1)
 
 
 def _width(columns: Iterable[int]) -> int:
-    """Return the width of a table with columns of some widths."""
+    """Return the width of a table whose columns have the given widths."""
     return sum(width + 3 for width in columns) - 1
 
 
@@ -165,14 +165,14 @@ def _fitting(widths: dict[str, int], width: int) -> list[str]:
     Keys, checksums and places come after all others.
     """
     chosen: list[str] = []
-    for name in sorted(widths, key=_turn):
+    for name in sorted(widths, key=_importance):
         if _width(widths[one] for one in (*chosen, name)) > width:
             break
         chosen.append(name)
     return [name for name in widths if name in chosen]
 
 
-def _turn(name: str) -> int:
+def _importance(name: str) -> int:
     """Return the sort key of a column by its importance to users; equal keys keep the order of the table."""
     return _EARLY.index(name) if name in _EARLY else len(_EARLY) + bool(_LATE.search(name))
 
@@ -192,7 +192,7 @@ def wrapped(table: pa.Table, column: str, width: int) -> pa.Table:
     Returns
     -------
     pyarrow.Table
-        The table for a file or a pipe, where rows are as wide as their longest text.
+        The table for a file or a pipe, in which rows are as wide as their longest text.
     """
     texts = table.column(column).to_pylist()
     lines = [
@@ -204,12 +204,12 @@ def wrapped(table: pa.Table, column: str, width: int) -> pa.Table:
 
 
 def plain_text(text: str) -> Text:
-    """Return a text of one line for a cell: no markup, and nothing that a terminal would obey."""
+    """Return a text of one line for a cell, without markup and with control characters escaped."""
     return Text(visible(text))
 
 
 def pairs(lines: Iterable[tuple[str, str]]) -> Table:
-    """Return names and texts as a table of two columns; long texts are wrapped, and never cut."""
+    """Return names and texts as a table of two columns; long texts are wrapped, never truncated."""
     table = Table(box=None, show_header=False, pad_edge=False)
     table.add_column(style="bold", no_wrap=True)
     table.add_column(overflow="fold")
@@ -219,7 +219,7 @@ def pairs(lines: Iterable[tuple[str, str]]) -> Table:
 
 
 def result_tables(parts: Sequence[ResultTable | Line]) -> RenderableType:
-    """Return tables of results, and the lines between them, as rich shows them."""
+    """Convert tables of results, and the lines between them, to a rich renderable."""
     shown = [_line(part) if isinstance(part, Line) else result_table(part) for part in parts]
     return shown[0] if len(shown) == 1 else Group(*shown)
 
@@ -229,7 +229,7 @@ def _line(line: Line) -> Text:
 
 
 def result_table(table: ResultTable) -> Table:
-    """Return a table of results as rich shows it."""
+    """Convert a table of results to a rich table."""
     wide, tall = table.layout == "wide", table.layout == "tall"
     shown = Table(
         title=table.title and escape(table.title),
@@ -259,13 +259,13 @@ def _natural_width(table: Table, console: Console, options: ConsoleOptions) -> i
 
 
 def rich_table(table: pa.Table, null: str = "–") -> Table:
-    """Return an Arrow table as a rich table: numbers to the right, floats with four digits, NULL as a dash."""
+    """Convert an Arrow table to a rich table: numbers right-aligned, floats with four digits, NULL as a dash."""
     shown = Table(box=box.SIMPLE_HEAD, pad_edge=False, header_style="bold")
     for field in table.schema:
         justify: JustifyMethod = "right" if _is_number(field.type) else "left"
         shown.add_column(plain_text(field.name), justify=justify, overflow="fold")
     for row in _texts(table, null):
-        # plain text: rich would take [brackets] for markup
+        # use plain text, because rich would interpret [brackets] as markup
         shown.add_row(*map(Text, row))
     return shown
 
@@ -276,7 +276,7 @@ def _is_plain(text: str) -> bool:
 
 
 def _plain_lines(table: pa.Table, rows: list[list[str]]) -> Iterator[str]:
-    """Yield the lines of `rich_table` at its natural width; rich itself needs some 70 times as long.
+    """Yield the lines of `rich_table` at its natural width, some 70 times as fast as rich itself.
 
     No column is padded beyond `_CAP` characters: cells after a longer text are shifted to the right.
     """
@@ -303,7 +303,7 @@ def _is_number(kind: pa.DataType) -> bool:
 
 
 def _texts(table: pa.Table, null: str) -> list[list[str]]:
-    """Return the cells of the rows as they are shown; only columns of several lines have line breaks."""
+    """Return the texts of the cells, row by row; only columns marked as having several lines have line breaks."""
     lines = [field.name == "explain_value" or field.metadata == _LINES for field in table.schema]
     return [
         [visible_text(text) if broken else visible(text) for text, broken in zip(cells, lines, strict=True)]
@@ -322,16 +322,16 @@ def _cell(value: Any, null: str) -> str:
 def encode(table: pa.Table, form: str) -> bytes:
     """Encode an Arrow table as CSV (header first), JSON (a list of objects) or Parquet.
 
-    Columns of equal names are all kept: in CSV they stand side by side; in JSON and Parquet, where names must differ,
-    the second x is called x_1. `json_value` describes the values of JSON. In CSV a text that a spreadsheet would take
-    for a formula has an apostrophe in front.
+    Columns of equal names are all kept. CSV files repeat the name; in JSON and Parquet, where names must differ, the
+    second x is called x_1. `json_value` describes the values of JSON. In CSV, an apostrophe is put before a text that
+    a spreadsheet would take for a formula.
 
     Parameters
     ----------
     table : pyarrow.Table
         The table.
     form : str
-        csv, json or parquet.
+        The format: csv, json or parquet.
 
     Returns
     -------
@@ -359,7 +359,7 @@ def encode(table: pa.Table, form: str) -> bytes:
 
 
 def _rows(table: pa.Table) -> Iterator[tuple[Any, ...]]:
-    """Return the rows as tuples, since two columns may have one name."""
+    """Yield the rows as tuples, since two columns may have the same name."""
     columns = [_values(name, column) for name, column in zip(table.column_names, table.columns, strict=True)]
     return zip(*columns, strict=True)
 
@@ -376,7 +376,7 @@ def _values(name: str, column: pa.ChunkedArray) -> list[Any]:
 
 
 def distinct_names(names: list[str]) -> list[str]:
-    """Return the names with _1, _2, … appended to repeated ones."""
+    """Return the names, with _1, _2, … appended to repeated names."""
     taken = set(names)
     seen: set[str] = set()
     result = []

@@ -1,4 +1,4 @@
-"""Print results and messages on the terminal: lines, tables, progress bars, and lines about steps without a bar."""
+"""Print results and messages on the terminal: lines, tables, progress bars, and progress lines instead of bars."""
 
 from __future__ import annotations
 
@@ -26,19 +26,19 @@ if TYPE_CHECKING:
 _log = logging.getLogger("kinedex.progress")
 
 FIRST_SECONDS = 10.0
-"""Seconds without a message after which a line reports the step; also the shortest time between two lines."""
+"""Seconds without output after which a line reports the current step; also the shortest time between two lines."""
 
 SHARE = 0.2
-"""The shortest time between two lines as a fraction of the time since the step began, so that a long step has few."""
+"""The shortest time between two lines as a fraction of the time since the step began; long steps have few lines."""
 
 LOG_SECONDS = 1.0
 LOG_SHARE = 0.02
-"""The same for log records with a count, from which programs compute percentages: some 270 in an hour."""
+"""The same fraction for log records with a count, from which programs compute percentages: some 270 in an hour."""
 
 
 @dataclass
 class ProgressStep:
-    """A step that may take long: its name, and how much of it is done."""
+    """A step that may take long, with its name and the amount of work that is done."""
 
     name: str
     total: int | None = None
@@ -46,13 +46,13 @@ class ProgressStep:
     begun: float = field(default_factory=time.monotonic)
 
     def text(self, seconds: float) -> str:
-        """Return the line about the step: its name, its count, the `seconds` so far, and an estimate of the rest."""
+        """Return the line about the step, with name, count, the `seconds` so far, and an estimate of those left."""
         count = "" if self.total is None else f"{self.done:,} of {self.total:,}, "
         left = self.seconds_left(time.monotonic())
         return f"{self.name}: {count}{seconds:.0f} s so far" + (f", about {duration(left)} left" if left else "")
 
     def seconds_left(self, now: float) -> float | None:
-        """Return the seconds that the rest will take at the mean speed so far; None if nothing is done yet."""
+        """Return the seconds that the remaining work takes at the mean speed so far; None if nothing is done yet."""
         if self.total is None or not 0 < self.done < self.total:
             return None
         return (now - self.begun) * (self.total - self.done) / self.done
@@ -74,12 +74,12 @@ class ProgressLines:
         self._end = threading.Event()
 
     def speak(self) -> None:
-        """Record that something was printed now, which delays the next line."""
+        """Record that something was printed just now, which delays the next line."""
         self._spoken = time.monotonic()
 
     @contextmanager
     def activity(self, name: str, total: int | None = None) -> Iterator[ProgressStep]:
-        """Report a step while the block runs; the step's `done` counts what is finished."""
+        """Report a step while the block runs; the block counts finished work in `done` of the step."""
         step = ProgressStep(name, total)
         self._steps.append(step)
         thread = None
@@ -127,7 +127,7 @@ def _log_due(begin: float, logged: float) -> float:
 
 
 WIDE = 160
-"""Columns of a table that goes to a file or a pipe: wide enough that cells stay whole."""
+"""Width in characters of a table in a file or a pipe, wide enough that cells are not broken."""
 
 _messages = {"quiet": False, "to_stderr": False}
 
@@ -140,7 +140,7 @@ def configure_messages(*, quiet: bool = False, to_stderr: bool = False) -> None:
     quiet : bool
         Print no messages.
     to_stderr : bool
-        Print messages to standard error, so that standard output holds the result alone.
+        Print messages to standard error, so that standard output has only the result.
     """
     _messages.update(quiet=quiet, to_stderr=to_stderr)
 
@@ -161,7 +161,7 @@ def collecting_terminal(file: TextIO) -> Terminal:
 
 
 def page_by_page(console: Console) -> AbstractContextManager[object]:
-    """Return a context in which a console shows what is printed in the system's pager; `less` ends at a short text."""
+    """Return a context that shows the output of a console in the system's pager; `less` exits after a short text."""
     os.environ.setdefault("LESS", "FRX")
     return console.pager(styles=True)
 
@@ -180,7 +180,7 @@ def _console(*, stderr: bool, quiet: bool) -> Console:
 
 
 class EscapingConsole(Console):
-    """A rich console that escapes the texts in everything it prints; layout and styles are rich's own."""
+    """A rich console that escapes all texts that it prints; layout and styles are unchanged."""
 
     def __init__(self, **options: Any) -> None:
         super().__init__(**options)
@@ -197,13 +197,13 @@ class _Escaped:
         self._shown = shown
 
     def __rich_console__(self, console: Console, options: ConsoleOptions) -> RenderResult:
-        """Render what is shown, and escape its texts."""
+        """Render the object, and escape its texts."""
         for text, style, control in console.render(self._shown, options):
             yield Segment(text if control else visible_text(text), style, control)
 
 
 class Progress:
-    """One progress bar; a context manager. Outside a terminal, it prints a line from time to time."""
+    """A progress bar, used as a context manager; outside a terminal, it prints a line from time to time."""
 
     def __init__(self, console: Console, pulse: ProgressLines, description: str, total: int | None) -> None:
         from rich.progress import BarColumn, MofNCompleteColumn, TextColumn, TimeElapsedColumn, TimeRemainingColumn
@@ -252,7 +252,7 @@ class Terminal:
             self.console.print(f"    {visible_lines(text)}", markup=False)
 
     def activity(self, name: str) -> AbstractContextManager[object]:
-        """Report a step every now and then while a `with` statement runs."""
+        """Report a step from time to time while a `with` statement runs."""
         return self._pulse.activity(name)
 
     def message(self, text: str) -> None:
@@ -264,7 +264,7 @@ class Terminal:
         self.console.print(f"    {text}", markup=False)
 
     def _wrapped(self, line: str) -> str:
-        # a path longer than a line stays one word, so that it can be copied
+        # a path longer than a line is not broken, so that it can be copied
         return textwrap.fill(
             line, max(self.console.width, 40) - 4, subsequent_indent=" " * 8, break_long_words=False,
             break_on_hyphens=False,
