@@ -248,7 +248,7 @@ def _warnings(takes: pl.DataFrame) -> tuple[tuple[str, str], ...]:
 
 
 def _automatic(frame: pl.DataFrame, others: pl.DataFrame | None) -> tuple[TakeSegment, ...]:
-    """Return annotations as segments; if another method disagrees about a segment, it has the classes found instead."""
+    """Return annotations as segments, each with the classes that another method found instead if it disagrees."""
     found: dict[str, list[tuple[str, int, int]]] = {}
     for take, *one in others.select("take", "class", "start", "stop").iter_rows() if others is not None else ():
         found.setdefault(take, []).append(tuple(one))

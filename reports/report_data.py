@@ -14,7 +14,7 @@ from kinedex.ops.intervals import TakeSegment, in_seconds
 class FeatureNames:
     """The feature set of a store: its identity, and the names of the rows of template images.
 
-    `sets` holds (name, number of the first feature, count) in the order of the feature numbers.
+    `sets` has a tuple (name, number of the first feature, number of features) for each set, in the order of features.
     """
 
     name: str
@@ -86,7 +86,7 @@ class Template:
 
 @dataclass(frozen=True)
 class Curve:
-    """The distance curve of one subclass over one take: one cost per frame, inf where no path ends."""
+    """The distance curve of one subclass over one take, with one cost per frame (inf if no path ends there)."""
 
     label: str
     subclass: str

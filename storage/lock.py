@@ -123,7 +123,7 @@ class Lock:
             self._file.write(json.dumps(holder).encode())
 
     def _holder(self) -> str:
-        """Describe the process that holds the lock, waiting briefly for one that has not written its name yet."""
+        """Describe the process that holds the lock; wait briefly if the process has not yet written its name."""
         deadline = time.monotonic() + _NAMED_SECONDS
         while (name := self._read_holder()) is None and time.monotonic() < deadline:
             time.sleep(_POLL_SECONDS / 10)

@@ -101,16 +101,16 @@ class Clips(OptionGroup):
         typer.Option(
             parser=seconds_of,
             metavar="DURATION",
-            help="Surroundings that files hold besides; the clip is inner_start to inner_stop of metadata.csv.",
+            help="Time around a clip that is also in its file; metadata.csv has the clip as inner_start, inner_stop.",
         ),
     ] = None
     min_length: Annotated[
-        float | None, typer.Option(parser=seconds_of, metavar="DURATION", help="Least duration of an interval.")
+        float | None, typer.Option(parser=seconds_of, metavar="DURATION", help="Shortest duration of an interval.")
     ] = None
     mirror: Annotated[
         bool,
         typer.Option(
-            "--mirror", help="Add a twin of each clip, left and right exchanged, in the name of its class, too."
+            "--mirror", help="Add the mirror image of each clip, with left and right exchanged in its class, too."
         ),
     ] = False
     resample: Annotated[float | None, typer.Option(metavar="HZ", help="Frames per second of the files.")] = None
@@ -120,15 +120,15 @@ class Clips(OptionGroup):
         typer.Option(metavar="COLUMN", help="Split by a column of takes, as actor; no value is in two splits."),
     ] = None
     shares: Annotated[str, typer.Option(help="Shares of train,val,test or of train,test, by seconds.")] = "0.8,0.1,0.1"
-    seed: Annotated[int, typer.Option(help="Number that draws another split, and other clips.")] = 0
+    seed: Annotated[int, typer.Option(help="Seed for the choice of splits and of clips.")] = 0
     balance: Annotated[
-        bool, typer.Option("--balance", help="In each split, take as many clips of each class as of its rarest.")
+        bool, typer.Option("--balance", help="In each split, use as many clips of each class as of the rarest one.")
     ] = False
-    per_class: Annotated[int | None, typer.Option(min=1, metavar="N", help="Most clips of a class.")] = None
+    per_class: Annotated[int | None, typer.Option(min=1, metavar="N", help="Largest number of clips per class.")] = None
     distinct: Annotated[
         float | None,
         typer.Option(
-            parser=_metres_of, metavar="LENGTH", help="Leave out clips whose joints are nearer to another's, as 3cm."
+            parser=_metres_of, metavar="LENGTH", help="Exclude clips whose joints are this near to another's (3cm)."
         ),
     ] = None
 

@@ -111,7 +111,7 @@ def export(
 ) -> None:
     """Write annotations as label files, one per take or one for all.
 
-    Annotations that a person has rejected are left out.
+    Annotations that a person has rejected are excluded.
     """
     from kinedex.storage.formats.labels.formats import write_labels
 
@@ -236,7 +236,7 @@ def diff(
 ) -> None:
     """Show which segments of label files a person changed.
 
-    They were moved, renamed, added or removed. Without --store the unit is that of the files.
+    Segments can be moved, renamed, added or removed. Without --store, times are in the unit of the files.
     """
     from kinedex.pipelines.labels.label_files import label_differences
 
@@ -316,14 +316,14 @@ def add(
 def change(
     store: StorePath,
     id: Annotated[str, typer.Argument(metavar="ID", help="Id of the label, or its beginning.")],
-    name: Annotated[str | None, typer.Option("--class", help="Class that it has from now on.")] = None,
+    name: Annotated[str | None, typer.Option("--class", help="New class of the label.")] = None,
     start: Annotated[str | None, typer.Option(help="First frame (45) or seconds (1.5s).")] = None,
     stop: Annotated[str | None, typer.Option(help="Frame after the last, or seconds.")] = None,
     verdict: Annotated[str | None, typer.Option(metavar="WORD", help="positive, or negative: it is not this.")] = None,
     annotator: AnnotatorOption = None,
     as_json: JsonOption = False,
 ) -> None:
-    """Give a label another class, other edges or another verdict."""
+    """Change the class, the interval or the verdict of a label."""
     from kinedex.pipelines.labels.decisions import labels_by_id
     from kinedex.pipelines.labels.label_edits import change_label
     from kinedex.pipelines.templates.stored_templates import clip_range

@@ -36,7 +36,7 @@ if TYPE_CHECKING:
 
 @command(MAINTAIN)
 def duplicates(store: StorePath, *, output: Output, as_json: JsonOption = False) -> None:
-    """List takes that hold the same file or the same motion.
+    """List takes that come from the same file or show the same motion.
 
     Motion is found that was cut, moved, turned, mirrored, or stored at another rate. The rows are kept in the store as
     the view `duplicates`.

@@ -109,7 +109,7 @@ def remove(
 ) -> None:
     """Remove a mapping from a store.
 
-    Takes that were read with it stay as they are until the next ingest.
+    Takes that were read with the mapping are unchanged until the next ingest.
     """
     from kinedex.storage.store.store import open_store
 

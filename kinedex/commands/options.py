@@ -136,7 +136,7 @@ WaitOption = Annotated[
         "--wait",
         parser=seconds_of,
         metavar="DURATION",
-        help="Wait so long (30s, 10m, 2h) for another writer; fail at once unless given.",
+        help="Longest time to wait for another writer (30s, 10m, 2h); fail at once unless given.",
     ),
 ]
 JsonOption = Annotated[
@@ -319,8 +319,9 @@ class Follow(OptionGroup):
     follow: Annotated[
         Path | None, typer.Option(metavar="DIR", help="Reconstruct the frames that are written into this folder.")
     ] = None
-    camera: Annotated[Path | None, typer.Option(metavar="FILE", help="Of --follow: the camera.")] = None
-    background: Annotated[Path | None, typer.Option(metavar="FILE", help="Of --follow: the empty room.")] = None
+    camera: Annotated[Path | None, typer.Option(metavar="FILE", help="With --follow: file of the camera.")] = None
+    background: Annotated[Path | None, typer.Option(metavar="FILE", help="With --follow: the empty room.")] = None
     idle: Annotated[
-        float | None, typer.Option(min=0.1, metavar="SECONDS", help="Of --follow: end so long after the last frame.")
+        float | None,
+        typer.Option(min=0.1, metavar="SECONDS", help="With --follow: end this long after the last frame."),
     ] = None

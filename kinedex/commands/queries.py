@@ -78,7 +78,7 @@ def search(
 ) -> None:
     """Search for keyframe queries with the index.
 
-    The result is a table of the intervals that hold hits.
+    The result is a table of the intervals with hits.
     """
     from kinedex.pipelines.engine.run_id import new_run_id
     from kinedex.pipelines.keyframes.search_explanation import explain_search
@@ -229,7 +229,7 @@ def show(
 ) -> None:
     """Show learned queries and how well they separate the training clips.
 
-    Precision and recall are those of all queries of a class together and stand on its first row only.
+    Precision and recall are for all queries of a class together, and are shown only in the first row of the class.
     """
     from kinedex.console.tables import PrintedTable, wrapped
     from kinedex.console.terminal import make_console

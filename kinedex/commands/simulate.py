@@ -114,7 +114,7 @@ def imu(
     rate: Annotated[float, typer.Option(min=1, max=10_000, metavar="HZ", help="Samples per second.")] = 100.0,
     form: Annotated[str, typer.Option("--format", help="parquet, npz or xsens-txt.")] = "parquet",
     window: Annotated[float, typer.Option(metavar="SECONDS", help="Length of the windows with labels.")] = 2.0,
-    step: Annotated[float, typer.Option(metavar="SECONDS", help="From one window to the next.")] = 1.0,
+    step: Annotated[float, typer.Option(metavar="SECONDS", help="Time from one window to the next.")] = 1.0,
     stand: Annotated[
         float,
         typer.Option(min=0, max=60, metavar="SECONDS", help="Rest in the first pose before, and in the last after."),
@@ -129,7 +129,7 @@ def imu(
 
     The takes' sources are read again at their own rate. DIR/README.md describes all files, and has code that loads the
     windows: DIR/recordings has a folder for each take, DIR/windows.csv the class of each window, and DIR/truth mounts
-    and clocks. Pieces of takes shorter than a window are left out. The same command makes the same bytes.
+    and clocks. Pieces of takes shorter than a window are excluded. The same command makes the same bytes.
     """
     from kinedex.console.terminal import Terminal
     from kinedex.ops.simulation.imu_sensors import WearOptions

@@ -43,8 +43,8 @@ def track(
 ) -> None:
     """Make takes of recordings by calibrated cameras.
 
-    A recording becomes the take NAME_tracked. This is the pipeline `track`. Recordings that are unchanged stay as they
-    are.
+    A recording becomes the take NAME_tracked. This is the pipeline `track`. Recordings that have not changed are not
+    tracked again.
     """
     settings = {"recordings": str(recordings), "track.tracker": tracker}
     outcome = options.run("track", store, settings, {"observe.only": json.dumps(only)} if only else None)
@@ -72,9 +72,9 @@ def stabilise(
 ) -> None:
     """Stabilise tracked takes by what the archive knows.
 
-    Each becomes a take NAME_stabilised. A take that was tracked is stabilised from the observations of its
-    recording, any other one as a 3D track without cameras. Templates are those of the store; without any, they are
-    learned from the takes whose class is known.
+    Each take becomes a take NAME_stabilised. A take that was tracked is stabilised from the observations of its
+    recording, and any other take as a 3D track without cameras. The templates of the store are used; if there are none,
+    templates are learned from the takes whose class is known.
     """
     from kinedex.console.terminal import Terminal, message_console
     from kinedex.pipelines.engine.executors import make_executor
@@ -171,10 +171,10 @@ def reconstruct(
 ) -> None:
     """Make takes of recordings by a depth camera.
 
-    A recording becomes the take NAME_reconstructed, with poses of the store as memory. This is the pipeline `depth`.
-    Recordings that are unchanged stay as they are. With --follow the frames that a camera writes are reconstructed as
-    they appear, with the latency of each, until Ctrl-C, and are saved as the take FOLDER_live; --json prints a line
-    with the joints for each.
+    A recording becomes the take NAME_reconstructed; the poses of the store's takes serve as the pose database. This is
+    the pipeline `depth`. Recordings that have not changed are not reconstructed again. With --follow, frames are
+    reconstructed as a camera writes them, until Ctrl-C, and are saved as the take FOLDER_live. A line with its latency
+    is printed for each frame; with --json, the line has the joints.
     """
     if live.follow is not None:
         if live.camera is None or recordings is not None:

@@ -29,14 +29,14 @@ class Params(BaseModel):
     takes: list[str] | None = Field(
         default=None,
         description="The takes whose timelines are shown, in this order; by default all, or a choice: with ground "
-        "truth the worst, the middle and the best by F (frames), else those with the most segments and those that "
-        "deserve a look.",
+        "truth the worst, the middle and the best by F (frames), otherwise those with the most segments and with the "
+        "most doubtful segments.",
     )
-    max_takes: int = Field(default=40, ge=1, description="How many timelines at most where `takes` is not given.")
+    max_takes: int = Field(default=40, ge=1, description="Largest number of timelines if `takes` is not given.")
     embed: Literal["auto", "all", "none"] | list[str] = Field(
         default="auto",
-        description="Takes whose motion the page carries, so that a click on a segment shows it: auto (as many as keep "
-        "the page below 20 MB), all that have a timeline, none, or a list of names.",
+        description="Takes whose motion is embedded in the page, so that a click on a segment plays it: auto (as many "
+        "as keep the page below 20 MB), all (that have a timeline), none, or a list of names.",
     )
     curves_take: str | None = Field(
         default=None, description="The take whose distance curves are shown; by default the median by F (frames)."

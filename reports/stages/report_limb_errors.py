@@ -19,9 +19,9 @@ class Params(BaseModel):
     model_config = ConfigDict(extra="forbid")
 
     title: str = Field("Takes against inertial sensors", description="title of the page")
-    takes: int = Field(20, ge=1, description="takes on the page, those first in which most frames are wrong")
+    takes: int = Field(20, ge=1, description="number of takes on the page: those with the most wrong frames")
     demonstration: bool = Field(
-        False, description="show how a wrong mapping between sensor and limb hides errors, on orientations made for it"
+        False, description="show how a wrong mapping between sensor and limb hides errors, with an example"
     )
 
 

@@ -19,7 +19,7 @@ class Params(BaseModel):
 
     title: str = Field("Motion from a depth camera", description="title of the page")
     takes: int = Field(
-        20, ge=1, description="takes on the page, those first that are farthest from the truth, or cost most"
+        20, ge=1, description="number of takes on the page: those farthest from the truth, or of the largest cost"
     )
 
 

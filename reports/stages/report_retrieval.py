@@ -20,7 +20,7 @@ class Params(BaseModel):
     model_config = ConfigDict(extra="forbid")
 
     title: str = Field("How motions are ranked", description="title of the page")
-    figures: int = Field(6, ge=0, description="hits of each template that the page shows in motion")
+    figures: int = Field(6, ge=0, description="number of hits of each template that the page plays")
 
 
 class ReportRetrieval(PageStage[Params]):

@@ -18,7 +18,7 @@ class Params(BaseModel):
     model_config = ConfigDict(extra="forbid")
 
     title: str = Field("Stabilised takes, before and after", description="title of the page")
-    takes: int = Field(20, ge=1, description="takes on the page, those first that priors have moved most")
+    takes: int = Field(20, ge=1, description="number of takes on the page: those that priors have moved most")
 
 
 class ReportStabilised(PageStage[Params]):

@@ -112,7 +112,7 @@ def read_words(files: CheckedFiles, manifest: Manifest, take_ids: Sequence[int] 
     wanted = alive if take_ids is None else sorted({int(take) for take in take_ids})
     if take_ids is not None and (unknown := sorted(set(wanted).difference(alive))):
         shown = ", ".join(map(str, unknown[:5]))
-        raise StoreError(f"{files.store}: no live take has the id {shown}; `Store.takes()` lists those that are")
+        raise StoreError(f"{files.store}: no live take has the id {shown}; `Store.takes()` lists the live takes")
     asked = np.array(wanted, np.int64)
     read = [_part_words(files, part, here) for part in manifest.frames if (here := _live_in(part, asked)) is not None]
     ids = np.concatenate([np.empty(0, np.int64), *(takes for takes, _, _ in read)])

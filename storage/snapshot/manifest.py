@@ -193,7 +193,7 @@ LONGEST = 1000
 def running_command() -> str:
     """Return the command line of this process as it would be typed, such as "kinedex ingest STORE DIR".
 
-    The option --log-file is left out: it does not affect results, and the explorer adds it to its commands.
+    The option --log-file is omitted: it does not affect results, and the explorer adds it to its commands.
     """
     program, *arguments = sys.argv or [""]
     if "--log-file" in arguments:

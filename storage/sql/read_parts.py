@@ -40,7 +40,7 @@ def check_parts(store: Snapshot, connection: duckdb_sql.Connection, text: str) -
     connection : Connection
         The connection whose parser is used; the text is not executed.
     text : str
-        A statement that `storage.sql.read_only.checked_statement` allows; any other is ignored here.
+        A statement that `storage.sql.read_only.checked_statement` allows; other statements are ignored here.
 
     Returns
     -------

@@ -24,7 +24,7 @@ ALL_VIEWS = {f"{ALL}{kind}": kind for kind in RESULT_KINDS}
 
 
 def result_parts(store: Snapshot, view: str) -> tuple[ResultPart, ...]:
-    """Return the parts that a view of results reads: those of one pipeline, or of all for the prefix `all_`."""
+    """Return the parts that a view of results reads: of one pipeline, or of all pipelines for the prefix `all_`."""
     if view in ALL_VIEWS:
         return store.manifest.results.get(ALL_VIEWS[view], ())
     return shown_parts(store.manifest, view)

@@ -144,7 +144,7 @@ class TakeChanges(VersionDraft):
         same_rows = sum(part.rows for part in new) == sum(part.live_rows for part in old)
         if not same_takes or not same_rows or not gone <= {part.path for part in standing}:
             raise StoreError(
-                f"{self.path}: the new {kind} parts do not hold what the old ones do, so those stay",
+                f"{self.path}: the new {kind} parts do not have the rows of the old parts, which are kept",
                 remedy=repair(self.path),
             )
         for part in new:
@@ -167,7 +167,7 @@ class TakeChanges(VersionDraft):
         Raises
         ------
         StoreError
-            A name or type cannot be used, or the column has another declaration.
+            A name or a type cannot be used, or the column is already declared differently.
         """
         declared = dict(self._manifest.columns)
         for name, column in columns.items():

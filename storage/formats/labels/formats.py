@@ -156,7 +156,7 @@ def write_labels(
     Returns
     -------
     Written
-        The files, and the takes that were renamed or left out.
+        The files, and the takes that were renamed or excluded.
 
     Raises
     ------
