@@ -50,7 +50,7 @@ class ArchiveStrip:
     Attributes
     ----------
     bands : tuple of Band
-        The groups of takes; empty without groups.
+        The groups of takes; empty if takes are not grouped.
     strip : tuple of Area
         The columns of all classes together. A column has the colour of the class with the most frames in it; its height
         is the fraction of frames that have a label.

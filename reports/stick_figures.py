@@ -49,7 +49,7 @@ class Pen:
         self._draw.ellipse([u - r, v - r, u + r, v + r], fill=colour)
 
     def write(self, x: float, y: float, text: str, size: int, colour: str, *, middle: bool = False) -> float:
-        """Write a line in Pillow's own font, which is the same on all systems, and return its width."""
+        """Write a line in Pillow's built-in font, which is the same on all systems, and return its width."""
         font = ImageFont.load_default(size * self._fine)
         wide = float(self._draw.textlength(text, font=font)) / self._fine
         at = (float(x - wide / 2 if middle else x) * self._fine, float(y) * self._fine)

@@ -86,7 +86,7 @@ class Lock:
         _held.add(self)
 
     def _wait(self, purpose: str, wait: Wait) -> None:
-        """Retry until the lock is free or the time is over."""
+        """Try again until the lock is free or the waiting time has passed."""
         began = time.monotonic()
         reports = 0
         while not self._try_lock():

@@ -48,7 +48,7 @@ COMMANDS = {
     "labels": Listed(ASK, "labels", "Keep the labels of people; write and read label files."),
     "template": Listed(ASK, "ranking", "Show, compare and make motion templates."),
     "search": Listed(SEARCH, "queries", "Search for keyframe queries with the index."),
-    "rank": Listed(SEARCH, "ranking", "Rank the places of an archive by how well templates fit."),
+    "rank": Listed(SEARCH, "ranking", "Rank the intervals of an archive by how well templates fit."),
     "keyframes": Listed(SEARCH, "queries", "Learn keyframe queries from example clips."),
     "query": Listed(SEARCH, "queries", "Make keyframe queries."),
     "reconstruct": Listed(TRACK, "tracking", "Make takes of recordings by a depth camera."),

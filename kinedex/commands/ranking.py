@@ -81,7 +81,7 @@ def rank(
     at: AtOption = None,
     as_json: JsonOption = False,
 ) -> None:
-    """Rank the places of an archive by how well templates fit."""
+    """Rank the intervals of an archive by how well templates fit."""
     from kinedex.pipelines.templates.store_ranking import RankingQuestion, rank_store
     from kinedex.pipelines.templates.stored_templates import clip_range, template_from_clip
 
@@ -303,7 +303,7 @@ def from_clip(
     at: AtOption = None,
     as_json: JsonOption = False,
 ) -> None:
-    """Make a template from one example: a take or an interval of it. `learn_templates.template_files` reads it."""
+    """Make a template from an example, a take or an interval. `learn_templates.template_files` reads the file."""
     from kinedex.catalog.template_files import write_yaml
     from kinedex.pipelines.templates.stored_templates import template_from_clip, write_template
 

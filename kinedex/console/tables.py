@@ -92,7 +92,7 @@ class PrintedTable:
         self._null = null
 
     def __rich_console__(self, console: Console, options: ConsoleOptions) -> RenderResult:
-        """Print the table in the form that fits."""
+        """Print the table in the form that fits the console."""
         if console.soft_wrap and not console.is_terminal:
             yield Segment("".join(f"{line.rstrip()}\n" for line in self._piped(console, options)))
         elif (names := self._columns(console, options)) is not None:

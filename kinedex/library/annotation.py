@@ -146,7 +146,7 @@ class _LoadedWords:
         return {str(take.info["class"]) for take in self.takes if take.info.get("class")}
 
     def words(self, positions: Sequence[int]) -> TakeWords:
-        """Return the words of the takes with some indices."""
+        """Return the words of the takes with the given indices."""
         every = [self.takes[place].words() for place in positions]
         offsets = np.cumsum([0, *map(len, every)]).astype(np.int64)
         masks = np.array([self.takes[place].known for place in positions], np.uint64)
@@ -276,7 +276,8 @@ class Evaluation:
         Returns
         -------
         float or None
-            The harmonic mean of precision and recall over segments, which are correct if they overlap.
+            The harmonic mean of precision and recall over segments. An annotated segment is correct if it overlaps a
+            segment of the same class in the ground truth, and the other way round.
         """
         return self._pooled("f2")
 

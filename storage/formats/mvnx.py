@@ -29,7 +29,7 @@ LONGEST_TEXT = 1 << 20
 """The largest number of characters of an element; the longest in a frame of 23 segments has some two thousand."""
 
 MAX_PARTS = 1_000
-"""The largest number of segments, points, sensors or joints of a subject; MVN has 23 segments, some hundred points."""
+"""The largest number of segments, points, sensors or joints of a subject; MVN has 23 and some hundred points."""
 
 DEEPEST = 30
 """The largest depth of nested elements; MVNX files have seven levels."""

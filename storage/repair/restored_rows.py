@@ -30,7 +30,7 @@ from kinedex.storage.snapshot.schemas import labels_schema, schema_problem, with
 from kinedex.storage.snapshot.snapshot import Snapshot
 
 LARGEST = 24_000
-"""The largest size in bytes of a file for `without_flip`, whose time, here some seconds, grows with its square."""
+"""The largest size in bytes of a file for `without_flip`; the time, some seconds, grows with the square of the size."""
 
 
 def without_flip(content: bytes, sha256: str) -> bytes | None:

@@ -48,7 +48,7 @@ class Snapshot:
 
     @property
     def feature_set(self) -> FeatureSet:
-        """The feature set of the store's words, as the store itself recorded it."""
+        """The feature set of the store's words, as recorded in the store."""
         return self.manifest.feature_set
 
     @property

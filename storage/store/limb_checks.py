@@ -161,7 +161,7 @@ def _order_problem(piece: pa.Table, counts: Counter[tuple[str, str]]) -> str:
 
 
 def _rotation_problem(piece: pa.Table) -> str:
-    """Return the problem of the first frame that has an invalid rotation, or is valid but has no rotation."""
+    """Return the problem of the first frame with an invalid rotation, or marked as valid without a rotation."""
     rotations = piece.column("orientation").combine_chunks()
     axes = [pc.struct_field(rotations, axis).to_numpy(zero_copy_only=False) for axis in "wxyz"]
     squares = np.asarray(np.sum([np.square(axis.astype(np.float64)) for axis in axes], axis=0))

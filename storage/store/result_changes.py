@@ -130,7 +130,7 @@ class ResultChanges(VersionDraft):
         return journals
 
     def _add_labels(self, known: pa.Table, new: pa.Table) -> None:
-        """Write new rows of labels as a part, which also takes in the rows of small earlier parts."""
+        """Write new rows of labels as a part, together with the rows of small earlier parts."""
         if not new.num_rows:
             return
         stay = list(self._manifest.labels)

@@ -201,7 +201,7 @@ def _plain(table: pa.Table) -> pa.Table:
 
 
 def _column(name: str) -> str:
-    """Return the name that this module uses for a column."""
+    """Return the name that this module uses for a column of a table."""
     plain = name.strip().lower()
     return _ALIASES.get(plain, plain)
 

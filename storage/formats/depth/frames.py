@@ -45,7 +45,7 @@ class RawFrames:
         return range(self.count)
 
     def read(self, number: int) -> F32:
-        """Return the depths (H, W) of an image in metres; a SourceError reports a damaged one."""
+        """Return the depths (H, W) of an image in metres; raise SourceError if the image is damaged."""
         width, height = self.camera.size
         size = 2 * width * height
         data = part_of(self.path, size, number * size)
@@ -84,7 +84,7 @@ class DepthSource(Protocol):
         """The numbers of its images, ascending."""
 
     def read(self, number: int) -> F32:
-        """Return the depths (H, W) of an image in metres; a SourceError reports a damaged one."""
+        """Return the depths (H, W) of an image in metres; raise SourceError if the image is damaged."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -111,7 +111,7 @@ class ImageFiles:
         return sorted(self.files)
 
     def read(self, number: int) -> F32:
-        """Return the depths (H, W) of an image in metres; a SourceError reports a damaged one."""
+        """Return the depths (H, W) of an image in metres; raise SourceError if the image is damaged."""
         return read_frame(self.files[number], self.camera, self.unit_m)
 
 

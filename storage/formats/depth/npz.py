@@ -63,7 +63,7 @@ class NpzFrames:
         return range(self.shape[0])
 
     def read(self, number: int) -> F32:
-        """Return the depths (H, W) of an image in metres; a SourceError reports a damaged one."""
+        """Return the depths (H, W) of an image in metres; raise SourceError if the image is damaged."""
         _, height, width = self.shape
         size = height * width * np.dtype(self.kind).itemsize
         each = max(1, _BLOCK_BYTES // size)

@@ -328,7 +328,7 @@ class _Entry:
         return f"frames {listed}: {CAMERA_MOVED}" if moved else ""
 
     def unit_error(self, fault: str) -> ConfigError:
-        """Return an error about the unit, at the key of the camera's file or of the recording that states it."""
+        """Return an error about the unit that names the key, in the camera's file or the recording, that states it."""
         if self.given.depth_unit_m is None and self.given.camera is not None:
             path = self.path("camera", self.given.camera)
             if path.suffix.lower() in _YAML:
