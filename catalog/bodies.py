@@ -1,4 +1,4 @@
-"""Read files of bodies that are fitted to depth images: round cones, surface samples, pivots, standing height."""
+"""Read the files that define bodies to be fitted to depth images: round cones, surface samples, pivots and height."""
 
 from __future__ import annotations
 
@@ -50,7 +50,7 @@ class _BodyFile(BaseModel):
 
 
 def load_body(name: str | Path = "cones20") -> ConeBody:
-    """Return a body that is fitted to depth images.
+    """Read the definition of a body that can be fitted to depth images.
 
     Parameters
     ----------
@@ -71,7 +71,7 @@ def _load(path: Path) -> ConeBody:
 
 
 def standing_height(bone_lengths: npt.ArrayLike) -> float:
-    """Return the standing height in metres of an actor, by the shipped body.
+    """Return the standing height of an actor in metres, computed by the rule of the shipped body.
 
     Parameters
     ----------
@@ -128,7 +128,7 @@ def parse_body(located: Located) -> ConeBody:
 
 
 def _pivots(located: Located, file: _BodyFile) -> I64:
-    """Return the indices of the joints of the pivots; the root must come first, and parents before their children."""
+    """Return the indices of the pivot joints; raise an error unless the root is first and parents precede children."""
     pivots: list[int] = []
     for name in file.pivots:
         joint = _joint(located, name, "pivots", name)
@@ -147,7 +147,7 @@ def _pivots(located: Located, file: _BodyFile) -> I64:
 
 
 def _check_chain(located: Located, name: str, cone: _Cone, pivots: I64) -> None:
-    """Raise an error if an end is no mixture of joints, or the pivots that move the cone are not in one chain."""
+    """Raise an error if an end is not a mixture of joints, or if the pivots that move the cone form no single chain."""
     joints = []
     for key, end in (("from", cone.start), ("to", cone.end)):
         mixture = _shares(end)

@@ -1,4 +1,4 @@
-"""The file of recordings by cameras: the name of each recording, with its files and what they mean."""
+"""Read the file that lists recordings by cameras: their names, their data files, and how to interpret these files."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from kinedex.catalog.configs import LocalPath, Located, load_yaml
 from kinedex.ops.errors import ConfigError, did_you_mean
 
 ESTIMATE = "estimate"
-"""The body whose lengths are measured in the recording itself."""
+"""The value of `body` which says that bone lengths are estimated from the recording itself."""
 
 _NAME = re.compile(r"\w[\w .+-]{0,99}")
 _KEY = "recordings"
@@ -32,25 +32,26 @@ class CameraRecording(BaseModel):
     silhouettes : str, optional
         Files of masks, written like `keypoints`.
     track : str, optional
-        A take of the store, in the place of cameras, keypoints and silhouettes.
+        A take of the store that is used instead of cameras, keypoints and silhouettes.
     rate_hz : float, optional
-        Frames per second; that of the take where a track is given.
+        Frames per second; if a track is given, the default is the rate of that take.
     up : str, optional
-        The axis of the calibration that points up; needed where the kind of file does not determine it.
+        The axis of the calibration that points up. It is required if the file format does not determine it.
     unit : str, optional
-        The unit of lengths of the calibration; needed where the kind of file does not determine it.
+        The unit of length of the calibration. It is required if the file format does not determine it.
     size : tuple of (int, int), optional
-        Width and height of the images in pixels, for calibrations without it.
+        Width and height of the images in pixels, for calibrations that do not state the image size.
     keypoint_set : str, optional
-        A shipped file of `configs/keypoints`, or the path of one; by default names or the number of keypoints decide.
+        A shipped file of `configs/keypoints`, or the path of another. By default the set is recognised by the names or
+        the number of keypoints.
     person : str
-        Who is tracked where a frame has several: "largest", "most_confident", or the id of a person.
+        The person who is tracked if a frame shows several: "largest", "most_confident", or the id of a person.
     body : str
-        A take of the store whose bone lengths are those of the person, or "estimate".
+        A take of the store with the bone lengths of the person, or "estimate" to estimate them from the recording.
     offsets : mapping of str to int
-        Camera → frames: frame k of the recording is frame k + offset of this camera's files.
+        Offset in frames by camera name: frame k of the recording is frame k + offset of this camera's files.
     cuts : list of int
-        The first frames after cuts, as the files number them.
+        The first frame after each cut, numbered as in the files.
     truth : str, optional
         A take of the store, or a file of positions, that the track is compared with.
     """
@@ -116,7 +117,7 @@ def parse_entries(located: Located, model: type[Entry], example: str) -> Iterato
     model : type
         The model of a recording.
     example : str
-        A recording as an error shows it, such as "walk: {cameras: …}".
+        An example of a recording for error messages, such as "walk: {cameras: …}".
 
     Raises
     ------
@@ -143,7 +144,7 @@ class RecordingsFile(EntriesFile[CameraRecording]):
     """A file of recordings by calibrated cameras."""
 
     def keypoint_set(self, name: str) -> str | Path | None:
-        """Return the keypoint set of a recording: a shipped name, or a path from this file's folder; None for none."""
+        """Return the keypoint set of a recording, a shipped name or a path; None if the recording names no set."""
         given = self.entry(name).keypoint_set
         if given is None or not ("/" in given or given.endswith((".yaml", ".yml", ".json"))):
             return given
@@ -151,7 +152,7 @@ class RecordingsFile(EntriesFile[CameraRecording]):
 
 
 def load_recordings(path: str | Path) -> RecordingsFile:
-    """Read a file of recordings.
+    """Read a file of recordings by cameras.
 
     Raises
     ------
@@ -184,7 +185,7 @@ def parse_recordings(located: Located) -> RecordingsFile:
 
 
 def _check(located: Located, name: str, recording: CameraRecording) -> None:
-    """Refuse a recording that has neither cameras with observations nor a track, or both."""
+    """Raise an error unless a recording has either cameras with observations or a track, but not both."""
     at = (_KEY, name)
     observed = recording.keypoints or recording.silhouettes
     if recording.track is not None:

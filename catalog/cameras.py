@@ -1,8 +1,9 @@
-"""One camera model for keypoints, silhouettes and depth.
+"""The camera model that is used for keypoints, silhouettes and depth images.
 
-The conventions are OpenCV's: x right, y down, z forward in the camera; x_camera = R · X + t from the world; pixel
-centres at whole numbers, the first at (0, 0); distortion in the order k1 k2 p1 p2 k3 k4 k5 k6. `ops.cameras.projection`
-has the formulas. After reading, the world is in metres with Y up; its floor need not be at 0.
+The conventions are those of OpenCV. In the camera, x points right, y down and z forward. A point X of the world has the
+camera coordinates R · X + t. Pixel centres are whole numbers, the first (0, 0), and distortion coefficients are in the
+order k1 k2 p1 p2 k3 k4 k5 k6. `ops.cameras.projection` has the formulas. Calibrations are converted on reading to a
+world in metres with Y up, whose floor need not be at Y = 0.
 """
 
 from __future__ import annotations
@@ -38,9 +39,9 @@ class Camera:
     distortion : float64 array (0,), (4,), (5,) or (8,)
         k1 k2 p1 p2 k3 k4 k5 k6, or the first of them.
     rotation : float64 array (3, 3)
-        R, from the world to the camera.
+        The rotation R from the world to the camera.
     translation : float64 array (3,)
-        t, in metres.
+        The translation t in metres.
     size : tuple of (int, int)
         Width and height of its images in pixels.
 
@@ -91,7 +92,7 @@ class Camera:
         return float(self.matrix[0, 0] + self.matrix[1, 1]) / 2
 
     def project(self, points: npt.ArrayLike) -> tuple[F64, F64]:
-        """Return pixels (…, 2) and depths (…,) in metres of points (…, 3); pixels of points behind it are NaN."""
+        """Return pixels (…, 2) and depths (…,) in metres of points (…, 3); points behind the camera give NaN pixels."""
         return projection.project(self.matrix, self.rotation, self.translation, self.distortion, points)
 
     def directions(self, pixels: npt.ArrayLike) -> F64:
@@ -99,7 +100,7 @@ class Camera:
         return projection.pixel_directions(self.matrix, self.rotation, self.distortion, pixels)
 
     def contains(self, pixels: npt.ArrayLike) -> Bool:
-        """Return for pixels (…, 2) whether they lie inside the image, which reaches from −0.5 to size − 0.5."""
+        """Return which of the pixels (…, 2) lie inside the image, which extends from −0.5 to size − 0.5."""
         positions = np.asarray(pixels, np.float64)
         return np.asarray(((positions >= -0.5) & (positions <= np.array(self.size) - 0.5)).all(axis=-1))
 
@@ -111,14 +112,14 @@ class Camera:
         turn : float64 array (3, 3)
             A rotation of the world.
         scale : float, optional
-            Metres in a unit of the former world.
+            Metres in one length unit of the present world.
         """
         rotation = self.rotation @ np.asarray(turn, np.float64).T
         return replace(self, rotation=rotation, translation=scale * self.translation)
 
 
 def observed_rays(cameras: Sequence[Camera], pixels: F64, confidence: F64) -> Rays:
-    """Return the rays of keypoints.
+    """Convert keypoints in the images of cameras to rays in the world.
 
     Parameters
     ----------
@@ -132,13 +133,13 @@ def observed_rays(cameras: Sequence[Camera], pixels: F64, confidence: F64) -> Ra
     Returns
     -------
     Rays
-        The rays. A missing keypoint, or a pixel that no ray falls on, has confidence 0 and the camera's axis as its
-        direction.
+        The rays. A missing keypoint, or a pixel that the lens model assigns no ray, has confidence 0 and the camera's
+        axis as its direction.
 
     Raises
     ------
     ParameterError
-        Shapes do not agree.
+        The shapes of the arguments do not agree.
     """
     if pixels.ndim != 4 or pixels.shape[1] != len(cameras) or pixels.shape[3] != 2:
         raise ParameterError("pixels", f"of shape (T, {len(cameras)}, P, 2)", pixels.shape)

@@ -1,7 +1,7 @@
-"""Class files sort the subclasses (labels of training clips) of an archive into the classes of an annotation.
+"""Read class files, which group the subclasses (labels of training clips) of an archive into classes for annotation.
 
-For the priors of Chapter 6 they also name the classes in which the body moves forwards, and change the regions of
-templates that are marked.
+For the priors of Chapter 6 of the thesis, class files also name the classes in which the body moves forwards, and edit
+the marked regions of templates.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from kinedex.ops.errors import ConfigError, did_you_mean
 from kinedex.ops.priors.constraints import Constraint, MarkEdit, Side
 
 OWN = "own"
-"""Use this name in place of a class file to make every subclass a class of its own."""
+"""The name to use instead of a class file if every subclass is to be its own class."""
 
 
 @dataclass(frozen=True)
@@ -33,9 +33,9 @@ class MotionClass:
     subclasses : tuple of str
         Its subclasses.
     locomotion : bool
-        True where the body moves forwards: a fast foot then moves to the front.
+        True if the body moves forwards in this class, so that a fast foot can be assumed to move forwards too.
     marks : tuple of MarkEdit
-        Changes of the marked regions of its templates (thesis, Section 6.4.1).
+        Edits of the marked regions of its templates (thesis, Section 6.4.1).
     """
 
     name: str
@@ -47,12 +47,12 @@ class MotionClass:
 
 @dataclass(frozen=True)
 class Classes:
-    """The classes of an annotation, in order of their labels (ties in cost go to the first).
+    """The classes of an annotation, in the order of their labels; of classes with equal costs, the first is chosen.
 
     Attributes
     ----------
     without_class : tuple of str
-        Subclasses that the archive has and no class takes; they are not annotated.
+        Subclasses of the archive that belong to no class; they are not annotated.
     """
 
     classes: tuple[MotionClass, ...]
@@ -64,11 +64,11 @@ class Classes:
         return tuple(motion_class.name for motion_class in self.classes)
 
     def of_subclass(self) -> dict[str, str]:
-        """Return the class of every subclass."""
+        """Return a dict from subclass to the name of its class."""
         return {subclass: one.name for one in self.classes for subclass in one.subclasses}
 
     def class_of(self, label: str) -> str | None:
-        """Return the class that a label names, directly or by one of its subclasses; None if it names neither."""
+        """Return the class that a label names directly or through a subclass; None if the label is unknown."""
         return self._meaning.get(label)
 
     @cached_property
@@ -103,7 +103,7 @@ class _ClassEntry(BaseModel):
 
 
 def class_files(classes: str | Path) -> list[Path]:
-    """Return the file that `load_classes` reads; none for 'own'."""
+    """Return the files that `load_classes` reads: one file, or no file for "own"."""
     return [] if classes == OWN else [config_path("classes", classes)]
 
 
@@ -113,15 +113,15 @@ def load_classes(name_or_path: str | Path, subclasses: Iterable[str]) -> Classes
     Parameters
     ----------
     name_or_path : path
-        "own", a shipped file of `configs/classes`, or a path to a .yaml file. The file maps a class to its description
-        and its subclasses, names or patterns with * ? [ ]; for priors also to `locomotion` and `marks`.
+        "own", a shipped file of `configs/classes`, or a path to a .yaml file. The file maps each class to a description
+        and to subclasses, given by name or by patterns with * ? [ ]; for priors also to `locomotion` and `marks`.
     subclasses : iterable of str
-        Every subclass that the archive has. A pattern matches any number of them; a class without a match stays.
+        All subclasses of the archive. A pattern may match any number of them; a class without a match is kept.
 
     Raises
     ------
     ConfigError
-        If a subclass is unknown or stands in two classes, or an entry is invalid; names file and line.
+        If a subclass is unknown or is in two classes, or an entry is invalid; the message names file and line.
     """
     known = sorted(set(subclasses))
     if str(name_or_path) == OWN:
@@ -161,7 +161,7 @@ def load_classes(name_or_path: str | Path, subclasses: Iterable[str]) -> Classes
 
 
 def _matching(located: Located, key: tuple[str | int, ...], pattern: str, known: list[str]) -> list[str]:
-    """Return the known subclasses that an entry names; a plain name must exist, a pattern may match none."""
+    """Return the known subclasses that an entry denotes; a plain name must exist, but a pattern may match nothing."""
     if any(character in pattern for character in "*?["):
         return [name for name in known if fnmatch.fnmatchcase(name, pattern)]
     if pattern not in known:

@@ -32,10 +32,10 @@ KINDS = {
     "bodies/filmed": "body before simulated depth cameras",
     "pipelines": "pipeline",
 }
-"""The kinds of configuration file, each a folder of the shipped `configs/`, with the noun used in messages."""
+"""A dict from kind of configuration file, which is a folder of the shipped `configs/`, to the noun used in messages."""
 
 _UNION_TYPE = re.compile(r"literal\[.*\]|(?:constrained-)?(?:float|int|str)|list\[.*\]|bool")
-"""The names of types that pydantic puts behind the key of a union, such as `tau.literal['auto']`."""
+"""Matches the type that pydantic appends to the key of a union, such as `literal['auto']` in `tau.literal['auto']`."""
 
 Key = tuple[str | int, ...]
 Model = TypeVar("Model", bound=BaseModel)
@@ -50,7 +50,7 @@ def _of_this_machine(path: str) -> str:
 
 
 LocalPath = Annotated[str, Field(min_length=1), AfterValidator(_of_this_machine)]
-"""A path, or a pattern of paths, in a file: an address with a scheme such as s3:// is refused."""
+"""A path or a pattern of paths in a configuration file; addresses with a scheme such as s3:// are rejected."""
 
 
 @lru_cache(maxsize=1)
@@ -72,7 +72,7 @@ def config_path(kind: str, name: str | Path) -> Path:
     kind : str
         One of `KINDS`.
     name : path
-        A path to a YAML file (anything with a separator or a .yaml/.yml/.json ending), or a shipped name.
+        A path to a YAML file (any text with a separator or the suffix .yaml, .yml or .json), or a shipped name.
 
     Raises
     ------
@@ -98,7 +98,7 @@ def config_path(kind: str, name: str | Path) -> Path:
 
 @dataclass(frozen=True)
 class Located:
-    """Parsed YAML with the line of every key: `lines[("stages", "ingest", "source")]` counts from 1."""
+    """Parsed YAML with the line of every key: `lines[("stages", "ingest", "source")]` is a line number from 1."""
 
     path: Path
     data: Any
@@ -122,12 +122,13 @@ class Located:
         return self.data
 
     def model(self, model: type[Model], *key: str | int, data: Any = None) -> Model:
-        """Validate the part under `key` (or `data` in its place) as a pydantic model.
+        """Validate the value at `key`, or `data` instead of it, as a pydantic model.
 
         Raises
         ------
         ConfigError
-            At the first fault; names its line, what was expected, and the nearest valid name.
+            If the value is invalid; the message has the line of the first fault, what was expected, and the nearest
+            valid name.
         """
         part = data
         if part is None:
@@ -175,7 +176,7 @@ def _is_choice(loc: tuple[int | str, ...]) -> bool:
 
 
 def _fields_at(model: type[BaseModel], loc: tuple[int | str, ...]) -> list[str]:
-    """Return the keys of the model at a location, as of a pydantic error, inside another model."""
+    """Return the keys of the nested model that contains the location of a pydantic error."""
     current: Any = model
     for step in loc:
         fields = getattr(current, "model_fields", {})
@@ -213,8 +214,8 @@ def load_yaml(path: str | Path) -> Located:
     Raises
     ------
     ConfigError
-        If the file cannot be read, is not UTF-8 or not YAML, repeats a key, or is beyond the bounds of
-        `kinedex.catalog.yaml_nodes`; names the line.
+        If the file cannot be read, is not UTF-8 or not YAML, repeats a key, or exceeds the bounds of
+        `kinedex.catalog.yaml_nodes`; the message names the line.
     """
     return parse_yaml(read_text(Path(path)), path)
 
@@ -288,7 +289,7 @@ def _construct(node: yaml.Node, key: Key, located: Located, constructor: yaml.Sa
 
 
 def scalar(text: str) -> str:
-    """Return a text as YAML: plain where it reads back as itself, else in quotes."""
+    """Return a text as a YAML scalar, with quotes only if YAML would read the plain text as another value."""
     short = len(text) <= MAX_DIGITS and text.isascii() and text.replace("_", "").isalnum()
     plain = short and yaml.safe_load(text) == text
     return text if plain else yaml.safe_dump(text, default_style='"', width=math.inf, allow_unicode=True).strip()

@@ -1,9 +1,10 @@
-"""One depth camera: the camera model of `catalog.cameras`, the unit of its images, and where up is.
+"""Depth cameras: the camera model of `catalog.cameras` with the unit of depth images and the upward direction.
 
-In the camera, x points right, y down and z forward; pixel centres are whole numbers. With a pose, x_camera = rotation ·
-(x_world − place), in a world in metres with Y up and the floor at Y = 0; without one, `up` may be the direction that
-points upwards in the camera's axes, as an accelerometer measures it at rest. Motion from depth is computed in the
-camera's axes, turned upright; a `Placement` has their place in the world.
+In the camera, x points right, y down and z forward; pixel centres are whole numbers. A camera with a pose satisfies
+x_camera = rotation · (x_world − place), in a world in metres with Y up and the floor at Y = 0. For a camera without a
+pose, `up` may be the direction that points upwards in the camera's axes, as measured by an accelerometer at rest.
+Motion from depth is computed in the inside axes, which are the camera's axes after a rotation that makes them upright;
+a `Placement` holds the transformation between the inside axes and the world.
 """
 
 from __future__ import annotations
@@ -24,7 +25,7 @@ NOT_MEASURED = (0, 65535)
 """Values of integer images that mark pixels without a measurement."""
 
 MAX_PIXELS = 1 << 22
-"""Maximum number of pixels of an image; larger ones are rejected, as no depth camera makes them."""
+"""Maximum number of pixels of an image; larger images are rejected, since no depth camera records them."""
 
 FARTHEST_M = 1e6
 """Depths beyond this, in metres, count as not measured."""
@@ -35,7 +36,7 @@ FASTEST_HZ = 10_000.0
 _LARGEST_UNIT_M = 1.0
 
 FLIP = np.array([1.0, -1.0, -1.0])
-"""The camera's axes (x right, y down, z forward) times this are x right, y up, z to the rear."""
+"""Factors that convert coordinates with x right, y down, z forward to x right, y up, z backward."""
 
 NO_UP = (
     "neither pose nor `up` nor a floor is known: the camera is taken as level, without a floor; add `up:`, a vector "
@@ -44,7 +45,7 @@ NO_UP = (
 """The warning about a camera that is assumed to be level."""
 
 FLOOR_OFF_M = 0.1
-"""Largest distance in metres between the floor of the background and that of the camera's pose without a note."""
+"""Distance in metres between the background's floor and that of the camera's pose above which a note is given."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -66,9 +67,9 @@ class DepthCamera:
     is_range : bool
         True if images hold distances along the ray instead of depths z.
     rotation : float64 array (3, 3), optional
-        The turn from the world to the camera.
+        The rotation from the world to the camera.
     place : float64 array (3,), optional
-        Its centre in the world in metres; given if and only if `rotation` is.
+        The camera's centre in the world in metres; given if and only if `rotation` is.
     up : float64 array (3,), optional
         The direction that points upwards, in the camera's axes; a vector of any length is normalised. It must not be
         given with a pose, which implies it.
@@ -111,7 +112,7 @@ class DepthCamera:
 
     @cached_property
     def camera(self) -> Camera:
-        """The camera in the world, or at the origin of its own axes where there is no pose."""
+        """The camera in the world if it has a pose, otherwise at the origin of its own axes."""
         rotation, place = np.eye(3), np.zeros(3)
         if self.rotation is not None and self.place is not None:
             rotation, place = np.asarray(self.rotation, np.float64), np.asarray(self.place, np.float64)
@@ -122,12 +123,12 @@ class DepthCamera:
 
     @property
     def upwards(self) -> F64 | None:
-        """The unit vector that points upwards in the camera's axes, of the pose or of `up`; None if unknown."""
+        """The unit vector that points upwards in the camera's axes, from the pose or from `up`; None if unknown."""
         return self.up if self.rotation is None else self.rotation[:, 1].copy()
 
     @cached_property
     def rays(self) -> F64:
-        """The rays (H, W, 2) of its pixels: a, b of (a, b, 1), distortion undone; NaN where the lens has none."""
+        """The rays of its pixels without distortion, as a and b (H, W, 2) of (a, b, 1); NaN where there is no ray."""
         width, height = self.size
         (fx, skew, cx), (_, fy, cy) = self.matrix[:2]
         b = np.broadcast_to((np.arange(height)[:, None] - cy) / fy, (height, width))
@@ -206,20 +207,20 @@ def _unit_vector(name: str, values: npt.ArrayLike) -> F64:
 
 @dataclass(frozen=True, eq=False)
 class Placement:
-    """The inside axes of a recording: x right, Y up, z to the rear, with the camera at the origin, in metres.
+    """The inside axes of a recording: x right, y up and z backward in metres, with the camera at the origin.
 
     Attributes
     ----------
     turn : float64 array (3, 3)
-        From (x, −y, −z) of the camera to the inside axes.
+        The rotation from (x, −y, −z) of the camera to the inside axes.
     floor_height : float or None
-        The floor's Y: minus the height of the camera; None where it is not known.
+        The Y coordinate of the floor, which is minus the height of the camera; None if it is not known.
     rotation : float64 array (3, 3)
-        From the inside axes to the world, a turn about Y.
+        The rotation about Y from the inside axes to the world.
     place : float64 array (3,)
-        The camera in the world.
+        The position of the camera in the world.
     notes : tuple of str
-        Sentences for the user on how these were found.
+        Sentences for the user on assumptions and contradictions in these values.
     """
 
     turn: F64
@@ -229,7 +230,7 @@ class Placement:
     notes: tuple[str, ...] = ()
 
     def inside(self, points: npt.ArrayLike) -> F64:
-        """Return points (…, 3) of the camera's axes in the inside axes."""
+        """Transform points (…, 3) from the camera's axes to the inside axes."""
         turned: F64 = (np.asarray(points, np.float64) * FLIP) @ self.turn.T
         return turned
 
@@ -240,11 +241,11 @@ class Placement:
 
 
 def placement_of(camera: DepthCamera, background: F32 | None, seed: int = 0) -> Placement:
-    """Return the inside axes of a recording.
+    """Determine the upward direction and the floor of a recording, and from them its inside axes.
 
-    A pose of the camera determines up and floor; a floor of the background that lies elsewhere gives a note. Without a
-    pose, the largest level plane of the background is the floor, and its normal is up. Without such a plane, the
-    camera's `up` is used; without that, a level camera without a floor is assumed, with a note.
+    If the camera has a pose, the pose determines both; a background whose floor lies elsewhere gives a note. Otherwise
+    the largest level plane of the background is the floor, and its normal is up. If there is no such plane, the
+    camera's `up` is used; if the camera has none, it is assumed to be level, without a floor, and a note says so.
 
     Parameters
     ----------
@@ -276,7 +277,7 @@ def placement_of(camera: DepthCamera, background: F32 | None, seed: int = 0) -> 
 
 
 def _floor_of(camera: DepthCamera, background: F32 | None, seed: int) -> Floor | None:
-    """Find the floor in a background image; None without a background, or if it shows no floor."""
+    """Return the floor in a background image; None if there is no background or it shows no floor."""
     if background is None:
         return None
     upwards, seen = camera.upwards, background > 0
@@ -285,7 +286,7 @@ def _floor_of(camera: DepthCamera, background: F32 | None, seed: int) -> Floor |
 
 
 def _contradiction(floor: Floor | None, height: float) -> tuple[str, ...]:
-    """Return a note where the floor of a background does not lie at the height that the camera's pose gives it."""
+    """Return a note if the background's floor is not at the height that follows from the camera's pose."""
     if floor is None or abs(floor.height - height) <= FLOOR_OFF_M:
         return ()
     return (

@@ -1,4 +1,4 @@
-"""The file of depth recordings: the name of each recording, its files, and their camera and units."""
+"""Read the file that lists depth recordings: the name of each recording, its files, its camera and its units."""
 
 from __future__ import annotations
 
@@ -12,21 +12,21 @@ from kinedex.catalog.configs import LocalPath, Located, load_yaml
 from kinedex.catalog.depth_cameras import FASTEST_HZ
 
 AUTO, NONE = "auto", "none"
-"""Values of `background` that are no file: measured in the recording itself, and absent."""
+"""The values of `background` that are not files: measure it in the recording, and use no background."""
 
 _Number = Annotated[float, Field(allow_inf_nan=False, ge=-1e9, le=1e9)]
 _Vector = Annotated[list[_Number], Field(min_length=3, max_length=3)]
 
 
 class WorldPose(BaseModel):
-    """A turn and a place: x_world = rotation · x + place.
+    """A rigid transformation to the world: x_world = rotation · x + place.
 
     Attributes
     ----------
     rotation : list of 3 lists of 3 floats
-        The turn.
+        The rotation matrix.
     place : list of 3 floats
-        The shift in metres.
+        The translation in metres.
     """
 
     model_config = ConfigDict(extra="forbid")
@@ -42,21 +42,21 @@ class DepthEntry(BaseModel):
     depth : str
         Its frames: a pattern of files (`*` stands for any letters), an NPZ or raw file, or `depth.txt` of TUM RGB-D.
     camera : str, optional
-        The file of its camera; organised clouds and NPZ files with intrinsics need none.
+        The file of its camera; not needed for organised point clouds and NPZ files with intrinsics.
     background : str, optional
-        A depth image of the empty room, `auto` (measured in the recording) or `none` (removed before).
+        A depth image of the empty room, `auto` to measure it in the recording, or `none` if the frames show no room.
     rate_hz : float, optional
-        Frames per second, where camera and frames do not state them.
+        Frames per second; required if neither camera nor frames state them.
     depth_unit_m : float, optional
-        Metres of one unit, in the place of the camera's.
+        Metres of one unit of depth, which overrides the unit of the camera.
     body : str, optional
-        A take of the store whose bone lengths are those of the person, or `estimate`; it overrides the stage's `body`.
+        A take of the store with the bone lengths of the person, or `estimate`; it overrides the stage's `body`.
     truth : str, optional
         A take of the store, or a file of positions, that the reconstruction is compared with.
     truth_pose : WorldPose, optional
-        Where the axes of the truth lie in the world.
+        The transformation from the axes of the truth to the world.
     markers : mapping of str to str
-        Marker of the truth → the joint that it is fixed to.
+        The joint that each marker of the truth is fixed to, by the marker's name.
     """
 
     model_config = ConfigDict(extra="forbid")

@@ -1,4 +1,4 @@
-"""Definitions of features: name, rule and bit of each, the ranges that words are split into, and primitives."""
+"""Classes that define features and word sets, and the registry of the primitives that features are computed from."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""YAML files that define features: their keys, and the checks and the meaning of each."""
+"""Parse and check YAML files that define features."""
 
 from __future__ import annotations
 
@@ -48,7 +48,7 @@ class _FeatureEntry(BaseModel):
 
 
 def digest_of(parsed: FeatureFile) -> str:
-    """Return a hash of all keys on which words of a whole body depend: all but mirror, ground and stand-ins."""
+    """Return a hash of the keys that determine the words of a whole body: all but mirror, ground and stand-ins."""
     text = json.dumps(
         parsed.model_dump(exclude={"mirror", "ground", "stand_ins"}), sort_keys=True, separators=(",", ":")
     )
@@ -56,7 +56,7 @@ def digest_of(parsed: FeatureFile) -> str:
 
 
 def sets_of(located: Located, parsed: FeatureFile, count: int) -> dict[str, WordSet]:
-    """Return the ranges of features that words are split into, by name; they must divide all features in order."""
+    """Return the ranges of features that words are split into, by name; together they must cover all features."""
     expected = 1
     result = {}
     for name, (first, last) in parsed.sets.items():
@@ -87,7 +87,7 @@ def mirror_of(located: Located, parsed: FeatureFile, count: int) -> tuple[tuple[
 
 
 def ground_of(located: Located, parsed: FeatureFile) -> tuple[tuple[str, ...], ...]:
-    """Return groups of joints: the lowest point of a body is known if one joint of each group is."""
+    """Return the groups of joints of which one each must be known for the body's lowest point to be known."""
     for place, group in enumerate(parsed.ground):
         for joint in group:
             _joint(located, parsed, joint, "ground", place)
@@ -95,7 +95,7 @@ def ground_of(located: Located, parsed: FeatureFile) -> tuple[tuple[str, ...], .
 
 
 def feature_of(located: Located, parsed: FeatureFile, number: int) -> Feature:
-    """Return a feature with its rule; an error names the key that is wrong."""
+    """Parse a feature and its rule; raise a ConfigError that names the key of an invalid value."""
     key = ("features", number)
     entry = located.model(_FeatureEntry, *key)
     if entry.when not in COMPARISONS:

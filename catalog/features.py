@@ -1,4 +1,4 @@
-"""Feature sets: the features of words with their bits, the subsets that words are split into, and unknown joints."""
+"""Feature sets: the features that form a word, the word sets, and the effect of unknown joints on features."""
 
 from __future__ import annotations
 
@@ -23,12 +23,12 @@ class AffectedFeatures(NamedTuple):
     Attributes
     ----------
     unknown : tuple of Feature
-        Those that name one of the joints, are scaled by an unknown length without a stand-in, or measure from the
-        lowest or highest joint of a body whose lowest joints are unknown.
+        Features that cannot be computed: they name one of the joints, are scaled by an unknown length without a
+        stand-in, or measure from the lowest or highest joint of a body whose lowest joints are unknown.
     narrowed : tuple of Feature
-        Known features that measure from the lowest or highest of the remaining joints.
+        Known features that measure from the lowest or highest joint, which is now that of the known joints.
     scaled : tuple of Feature
-        Known features that are scaled by another length.
+        Known features that are scaled by a stand-in for an unknown length.
     """
 
     unknown: tuple[Feature, ...]
@@ -45,8 +45,8 @@ class FeatureSet:
     mirror : tuple[tuple[int, int], ...]
         Pairs of feature numbers that swap when left and right are exchanged; all other features stay.
     ground : tuple[tuple[str, ...], ...]
-        Groups of joints. Where one joint of each is known, so is the lowest point of the body; without groups all
-        joints must be known.
+        Groups of joints. The lowest point of a body counts as known if one joint of each group is known. Without
+        groups, all joints must be known.
     """
 
     name: str
@@ -61,7 +61,7 @@ class FeatureSet:
 
     @cached_property
     def mirror_order(self) -> I64:
-        """Return the source bit of each bit of a mirrored word, int64 (f,), from 0; it is its own inverse."""
+        """Return for each bit of a mirrored word the bit of the word that it comes from, int64 (f,)."""
         order = np.arange(len(self.features))
         for one, other in self.mirror:
             order[[one - 1, other - 1]] = other - 1, one - 1
@@ -69,14 +69,15 @@ class FeatureSet:
 
     @cached_property
     def encoded(self) -> dict[str, Any]:
-        """Return the set as manifests write it; cached, since every version of a store repeats it."""
+        """Return the feature set as it is written in manifests; cached, since every version of a store repeats it."""
         return asdict(self)
 
     def mirrored(self, words: U64) -> U64:
         """Exchange left and right in words; invalid frames stay invalid.
 
-        Where a rule names a limb or a joint of one side for both twins, as the papers' do (F1 and F2 measure both hands
-        against the left hip), the words of the motion in a true mirror can differ from these by a few frames.
+        Some rules of the papers use a joint of the same side for the left and for the right feature: F1 and F2 measure
+        both hands against the left hip. The words of a motion that is really mirrored can therefore differ from the
+        result in a few frames.
 
         Parameters
         ----------
@@ -277,7 +278,7 @@ def load_feature_set(name_or_path: str | Path = "body40") -> FeatureSet:
     Raises
     ------
     ConfigError
-        At the first fault, with its file, line and key.
+        If the file is invalid; the message has the file, line and key of the first fault.
 
     Examples
     --------

@@ -1,4 +1,4 @@
-"""Read files of bodies for simulated depth cameras: the cones of a fitted body with other flesh, clothes and errors."""
+"""Read the files that define bodies for simulated depth cameras: a fitted body with flesh, clothes and errors."""
 
 from __future__ import annotations
 
@@ -85,11 +85,11 @@ class FilmedBody:
     name : str
         Its name.
     body : ConeBody
-        The fitted body whose cones are covered by flesh; it has the person's standing height.
+        The body that is fitted to depth images. Flesh covers its cones, and the standing height is taken from it.
     flesh : Flesh
-        The cones of its surface.
+        The cones of the surface that the cameras see.
     disturbance : ExtraErrors
-        Errors that its clothes add to those of the sensor.
+        Errors that the clothes add to those of the sensor.
     """
 
     name: str
@@ -99,7 +99,7 @@ class FilmedBody:
 
 
 def load_filmed_body(name: str | Path = "first") -> FilmedBody:
-    """Return a body that simulated depth cameras film.
+    """Read the definition of a body that simulated depth cameras film.
 
     Parameters
     ----------
@@ -154,7 +154,7 @@ def _kind(name: str) -> str:
 def _cones(
     located: Located, file: _FilmedFile, body: ConeBody
 ) -> tuple[F64, F64, I64, F64, F64]:  # fmt: skip
-    """Return weights, metres forwards, the two joints and metres beyond, and radii of all cones."""
+    """Return the first five arrays of `Flesh` for all cones, from the weights of the joints to the radii."""
     fitted, count = len(body.cone_names), len(body.cone_names) + len(file.cones)
     weights, forward = np.zeros((count, 2, len(JOINTS))), np.zeros((count, 2))
     beyond, beyond_m, radii = np.zeros((count, 2), np.int64), np.zeros(count), np.ones((count, 2))
@@ -189,7 +189,7 @@ def _joint(located: Located, name: str, *at: str) -> int:
 
 
 def _folds(located: Located, file: _FilmedFile, kinds: list[str]) -> F64:
-    """Return the height of the clothes' folds in metres on each kind of body part, 0 if none is given."""
+    """Return the height of the folds of clothes in metres on each kind of body part; 0 if the file gives none."""
     _check_kinds(located, file.clothes.folds_m, kinds, "clothes", "folds_m")
     return np.array([file.clothes.folds_m.get(kind, 0.0) for kind in kinds])
 

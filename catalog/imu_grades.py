@@ -1,4 +1,4 @@
-"""Grades of simulated inertial sensors: the errors of their readings, of a shipped grade or from a user's file.
+"""Read grades of simulated inertial sensors, which define the errors of readings, from shipped or users' files.
 
     name: my-sensor
     source: [data sheet, revision, page]
@@ -27,7 +27,7 @@ from kinedex.ops.inertial.sensor_model import ChannelErrors, Grade
 _Size = Annotated[float, Field(ge=0.0, le=1e6, allow_inf_nan=False)]
 
 STANDARD_GRAVITY = 9.80665
-"""Metres per second squared of a g."""
+"""Standard gravity, the unit g, in metres per second squared."""
 
 
 class Channel(BaseModel):
@@ -46,7 +46,7 @@ class Channel(BaseModel):
     resolution: _Size = Field(0.0, description="step of the readings; 0: none")
 
     def errors(self, factor: float) -> ChannelErrors:
-        """Return the errors in the unit of the sensor model, as `factor` times the values of the file."""
+        """Return the errors in the unit of the sensor model; `factor` converts the values of the file to it."""
         return ChannelErrors(
             factor * self.density, factor * self.bias, factor * self.walk, 0.01 * self.scale_percent, self.axis_deg,
             factor * self.range, factor * self.resolution,

@@ -1,6 +1,6 @@
-"""Keypoint sets: the names of keypoints in the order of estimators' files, and where they lie on the body.
+"""Keypoint sets: the order of keypoints in the files of a pose estimator, and their positions on the body.
 
-A set is a file of `configs/keypoints`. The places of the keypoints stand in `named.yaml`, which all sets share.
+A set is a file of `configs/keypoints`. The positions of all keypoints are in `named.yaml`, which all sets share.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from kinedex.ops.errors import KinedexError, did_you_mean
 from kinedex.ops.tracking.observations import BodyPoints
 
 NAMED = "named"
-"""The set of keypoints that have names in their files, in any order."""
+"""The keypoint set for files that name their keypoints, in any order."""
 
 _LIMBS = tuple(
     (f"{side}_{start}", f"{side}_{end}")
@@ -41,15 +41,15 @@ class KeypointPlace:
     Attributes
     ----------
     joint : str
-        The named joint that it is; empty if it is none.
+        The named joint that the keypoint coincides with; empty if there is none.
     node : str
-        The node that moves it.
+        The node of the kinematic chain that moves the keypoint.
     offset : tuple of (float, float, float)
-        Its place in the frame of the node, from the node's centre; in metres, or in lengths of `bone`.
+        The position from the node's centre in the frame of the node, in metres or in lengths of `bone`.
     bone : str
         The joint, moved by the node, whose distance from the node's centre is the unit of the offset; empty for metres.
     middle : tuple of str
-        Two joints, moved by the node, that it lies halfway between; empty for other places.
+        Two joints, moved by the node, with the keypoint halfway between them; empty if `offset` gives the position.
     """
 
     joint: str = ""
@@ -68,9 +68,9 @@ class KeypointSet:
     name : str
         The name of the set.
     order : tuple of str
-        Names of its keypoints as files without names have them; empty for the set `named`.
+        Names of its keypoints in the order of files that do not name them; empty for the set `named`.
     positions : mapping of str to KeypointPlace
-        Keypoint → its place on the body; others have none.
+        The position on the body of each keypoint that has one, by name.
     by_count : bool
         True if the number of keypoints in a file suffices to recognise this set.
     """
@@ -81,24 +81,24 @@ class KeypointSet:
     by_count: bool
 
     def body_points(self, names: Sequence[str], body: ChainBody) -> BodyPoints:
-        """Return where keypoints lie on a body.
+        """Return the positions of keypoints on a body.
 
         Parameters
         ----------
         names : sequence of str
-            P keypoints, all of them with a place.
+            P keypoints, each with a position in this set.
         body : ChainBody
             The body.
 
         Returns
         -------
         BodyPoints
-            Node, offset and joint of each.
+            Node, offset and joint of each keypoint.
 
         Raises
         ------
         KinedexError
-            A keypoint has no place in this set.
+            A keypoint has no position in this set.
         """
         chain = body.chain
         nodes, joints = np.zeros(len(names), np.int64), np.full(len(names), -1, np.int64)
@@ -192,7 +192,7 @@ def parse_keypoint_set(located: Located, chain: KinematicChain) -> KeypointSet:
 
 
 def _place(located: Located, chain: KinematicChain, name: str, point: str | dict[str, Any]) -> KeypointPlace:
-    """Return the place of a keypoint; names of joints and nodes are checked against the chain."""
+    """Return the position of a keypoint; names of joints and nodes are checked against the chain."""
     at = ("points", name)
     given = located.model(_Point, *at, data={"joint": point} if isinstance(point, str) else point)
     named = {"joint": given.joint, "bone": given.bone}
@@ -219,23 +219,23 @@ def _place(located: Located, chain: KinematicChain, name: str, point: str | dict
 
 @lru_cache(maxsize=1)
 def keypoint_sets_by_count() -> Mapping[int, tuple[KeypointSet, ...]]:
-    """Return a dict from number of keypoints to the shipped sets that may be recognised by this number."""
+    """Return a dict from number of keypoints to the shipped sets that are recognised by this number."""
     shipped = [load_keypoint_set(name) for name in config_names("keypoints")]
     counts = sorted({len(one.order) for one in shipped if one.by_count})
     return {count: tuple(one for one in shipped if one.by_count and len(one.order) == count) for count in counts}
 
 
 def likeliest_set(sets: Sequence[KeypointSet], points: F64) -> KeypointSet:
-    """Return, of sets with equal numbers of keypoints, the one in whose order the limbs are shortest.
+    """Return the keypoint set whose order makes the limbs shortest, among sets with the same number of keypoints.
 
-    In a wrong order, limbs go across the body.
+    In a wrong order, many limbs would connect distant parts of the body.
 
     Parameters
     ----------
     sets : sequence of KeypointSet
         Sets with P keypoints.
     points : float64 array (N, P, 2) or (N, P, 3)
-        Keypoints of persons; NaN where one is missing.
+        Keypoints of N persons; NaN where a keypoint is missing.
     """
     lengths = []
     for one in sets:

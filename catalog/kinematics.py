@@ -1,4 +1,4 @@
-"""Read files of kinematic chains: nodes, their axes, the joints that they move, and the capsules of the surface."""
+"""Read files that define kinematic chains: nodes with their axes and joints, and the capsules of the body's surface."""
 
 from __future__ import annotations
 
@@ -65,7 +65,7 @@ class _ChainFile(BaseModel):
 
 
 def load_kinematic_chain(name: str | Path = "body48") -> KinematicChain:
-    """Return a kinematic chain.
+    """Read a kinematic chain.
 
     Parameters
     ----------
@@ -115,7 +115,7 @@ def parse_kinematic_chain(located: Located) -> KinematicChain:
 
 
 def load_surface(name: str | Path = "body48") -> Surface:
-    """Return the surface of a kinematic chain: its capsules.
+    """Read the capsules that form the surface of a kinematic chain.
 
     Parameters
     ----------

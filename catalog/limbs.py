@@ -19,10 +19,10 @@ class Limb:
     near, far : str
         The named joints at its ends.
     bend : str or None
-        The joint that fixes the plane of a hinge: its other neighbour in hip-knee-ankle or shoulder-elbow-wrist. None
-        where positions alone leave the turn about the long axis free.
+        The third joint of hip-knee-ankle or shoulder-elbow-wrist, which with the two ends determines the plane of the
+        hinge. None if positions do not determine the rotation about the limb's long axis.
     group : str
-        The group that it is counted in, such as `legs`.
+        The group of limbs in evaluations, such as `legs`.
     """
 
     name: str
@@ -33,12 +33,12 @@ class Limb:
 
     @property
     def side(self) -> str:
-        """`l`, `r`, or empty for a limb in the middle of the body."""
+        """The side of the body: `l`, `r`, or empty for a limb in the middle."""
         return "" if self.name in ("pelvis", "torso", "head") else self.name[0]
 
     @property
     def opposite(self) -> str:
-        """The same limb of the other side; the limb itself where it has no side."""
+        """The name of the corresponding limb on the other side; that of the limb itself if it has no side."""
         return {"": "", "l": "r", "r": "l"}[self.side] + self.name[len(self.side) :]
 
 
@@ -61,7 +61,7 @@ _ALL = (
 )
 
 LIMBS = {limb.name: limb for limb in _ALL}
-"""A dict from name to limb, from the trunk outwards."""
+"""A dict from name to limb, ordered from the trunk outwards."""
 
 LIMB_NAMES = tuple(LIMBS)
 """The names of all limbs."""
@@ -87,7 +87,7 @@ def limb_of(name: str) -> Limb:
     Raises
     ------
     KinedexError
-        No limb has this name; the message offers the nearest.
+        No limb has this name; the message suggests the nearest.
     """
     if name not in LIMBS:
         raise KinedexError(
@@ -97,7 +97,7 @@ def limb_of(name: str) -> Limb:
 
 
 def chosen_limbs(names: Iterable[str]) -> tuple[str, ...]:
-    """Return the limbs denoted by names of limbs or groups, in the order of `LIMBS`; all limbs if there are no names.
+    """Expand names of limbs and groups to names of limbs, in the order of `LIMBS`; all limbs if there are no names.
 
     Parameters
     ----------
@@ -107,7 +107,7 @@ def chosen_limbs(names: Iterable[str]) -> tuple[str, ...]:
     Raises
     ------
     KinedexError
-        A name is neither that of a limb nor that of a group.
+        A name denotes neither a limb nor a group.
     """
     chosen: set[str] = set()
     for name in names:

@@ -23,9 +23,9 @@ class PluginError(KinedexError):
 
 
 class Plugins(Generic[Part]):
-    """The parts of one kind by name; each is imported on first access.
+    """A registry of parts of one kind, such as stages, by name; each part is imported on first access.
 
-    A distribution adds a part by an entry point of the group, in its pyproject.toml::
+    An installed distribution adds a part by an entry point of the group, in its pyproject.toml::
 
         [project.entry-points."kinedex.stages"]
         count_frames = "my_package.count_frames:CountFrames"
@@ -39,7 +39,7 @@ class Plugins(Generic[Part]):
     noun : str
         The word for one part in messages, such as "stage".
     built_in : mapping of str to str
-        The name of each built-in part and where it is, "module:object".
+        A mapping from the name of each built-in part to its location, "module:object".
     """
 
     def __init__(self, group: str, noun: str, built_in: Mapping[str, str]) -> None:
@@ -59,7 +59,7 @@ class Plugins(Generic[Part]):
         Raises
         ------
         PluginError
-            The part is of a plugin that cannot be imported.
+            The part belongs to a plugin that cannot be imported.
         KinedexError
             No part has this name.
         """
@@ -70,7 +70,7 @@ class Plugins(Generic[Part]):
             return known[name].load()  # type: ignore[no-any-return]
         try:
             return known[name].load()  # type: ignore[no-any-return]
-        except Exception as fault:  # whatever the code of others raises while it is imported
+        except Exception as fault:  # a plugin's code may raise anything on import
             raise PluginError(
                 f"the {self.noun} '{name}' of {self.distribution(name)} cannot be imported "
                 f"({type(fault).__name__}: {fault}); upgrade or uninstall that distribution"
@@ -116,7 +116,7 @@ class Plugins(Generic[Part]):
 
 @lru_cache(maxsize=32)
 def _installed(group: str, path: tuple[str, ...]) -> dict[str, EntryPoint]:
-    """Return the entry points of a group; of two with one name the first on the path counts."""
+    """Return the entry points of a group by name; of two with the same name, the first on the path is used."""
     from importlib.metadata import entry_points
 
     found: dict[str, EntryPoint] = {}

@@ -1,4 +1,4 @@
-"""Results that a publication prints, to be compared with those of kinedex's evaluations."""
+"""Read results printed in publications, which kinedex's evaluations are compared with."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ class PublishedResults(BaseModel):
     limbs: dict[str, PublishedError] = Field(default_factory=dict, description="limb → its error")
 
     def figure(self, name: str, annotator: str, tau_deg: float) -> PublishedScore | None:
-        """Return the figure of a group or limb against an annotator at a threshold; None where none is printed."""
+        """Return the printed score of a group or limb for an annotator and a threshold; None if there is none."""
         words = annotator.split()
         return next(
             (

@@ -1,7 +1,7 @@
-"""Warn of takes whose quality figures are beyond their limits.
+"""Write warnings about takes whose quality figures exceed their limits.
 
-A figure beyond its limits is a warning and never an error: a body with the proportions of a cartoon is ingested, and
-the warning names what is unusual.
+A figure outside its limits gives a warning and never an error: a body with the proportions of a cartoon figure is
+ingested, and the warning names what is unusual.
 """
 
 from __future__ import annotations
@@ -14,27 +14,27 @@ from kinedex.ops.body.plausibility import Plausibility
 from kinedex.ops.body.tempo import TYPICAL_HZ, usual_rate
 
 POSE_S = 0.5
-"""Shortest duration in seconds at which a file without motion gets a warning; shorter ones are taken for poses."""
+"""Shortest duration in seconds at which a file without motion gets a warning; shorter files are taken for poses."""
 
 JERKY_M_S3 = 2500.0
-"""Above this, 2π · `tempo_hz` · `acceleration_m_s2` is too much for a person; Bandai has 1,205, a sprint 1,995."""
+"""Limit of 2π · `tempo_hz` · `acceleration_m_s2` for human motion in m/s³; Bandai has 1,205 at most, a sprint 1,995."""
 
 
 def quality_columns(figures: Plausibility) -> dict[str, Any]:
-    """Return the values of the columns of a take, None for an unknown one."""
+    """Return the values of a take's columns of quality figures, by name; None for a figure that is not known."""
     values = {figure.name: getattr(figures, figure.name) for figure in FIGURES}
     return {name: None if value != value else value for name, value in values.items()}
 
 
 def quality_warnings(figures: Plausibility, rate_hz: float) -> list[str]:
-    """Return a sentence for each figure beyond its limits: the figure, the limits, and what to do.
+    """Return a sentence for each figure outside its limits, with the value, the limits and advice.
 
     Parameters
     ----------
     figures : Plausibility
         The figures of a take.
     rate_hz : float
-        The frame rate at which it is read.
+        The frame rate of the take, in frames per second, as it is read.
     """
     return [*_up(figures), *_beyond(figures), *_pace(figures, rate_hz)]
 
@@ -56,7 +56,7 @@ def _beyond(figures: Plausibility) -> Iterator[str]:
 
 
 def _pace(figures: Plausibility, rate_hz: float) -> Iterator[str]:
-    """Yield a warning on a take that stands still or repeats frames, or is too fast or slow for a person."""
+    """Yield warnings about a take that is motionless, repeats frames, or is too fast or too slow for a person."""
     limit = {figure.name: figure for figure in FIGURES}
     if limit["repeated_share"].off(figures.repeated_share):
         share = figures.repeated_share

@@ -1,7 +1,7 @@
-"""Quality figures of takes, which show wrong units or axes and faults of the motion: columns of `takes`, and limits.
+"""Quality figures of takes, which reveal wrong units, wrong axes and faulty motion: columns of `takes` and limits.
 
-The limits lie outside of all that HDM05, CMU and Bandai have (`python -m studies.plausibility` prints both), and
-outside of the proportions of adults and children.
+The limits are wider than the range of values in HDM05, CMU and Bandai (`python -m studies.plausibility` prints both),
+and wider than the range of proportions of adults and children.
 """
 
 from __future__ import annotations
@@ -28,11 +28,11 @@ class Figure:
     meaning : str
         Its description.
     low, high : float or None
-        The limits; None for none.
+        The limits; None if there is no limit on that side.
     source : str
-        Where the limits come from.
+        The source of the limits.
     advice : str
-        What to do where the figure is beyond them.
+        Advice for a figure outside the limits.
     """
 
     name: str
@@ -52,7 +52,7 @@ class Figure:
         return f"at most {self.high:g}{unit}" if self.high is not None else ""
 
     def off(self, value: object) -> bool:
-        """Return whether a value lies beyond the limits; an unknown one does not."""
+        """Return whether a value lies outside the limits; False for an unknown value."""
         if not isinstance(value, float):
             return False
         return (self.low is not None and value < self.low) or (self.high is not None and value > self.high)
@@ -141,14 +141,14 @@ FIGURES = (
 """The figures, in the order of their columns."""
 
 FLOOR_M, JITTERS = 0.3, 40.0
-"""Further limits, relative to the takes with the same skeleton mapping: metres between the floor of a take and their
-median floor, and the jitter of a take as a multiple of their median."""
+"""Limits relative to the other takes with the same skeleton mapping: the distance in metres of a take's floor from the
+median floor, and the ratio of a take's jitter to the median jitter."""
 
 
 def suspect_select() -> str:
-    """Return the SELECT of the view `suspect_takes`: the figures of takes that lie beyond their limits.
+    """Return the SELECT statement of the view `suspect_takes`, which lists the figures outside their limits.
 
-    A store that lacks columns of figures has rows for the others only.
+    If a store lacks the column of a figure, the view has no rows for this figure.
     """
     limited = [figure for figure in FIGURES if figure.type == "DOUBLE" and figure.limits()]
     names = ", ".join(f"'{figure.name}'" for figure in limited)

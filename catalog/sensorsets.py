@@ -1,4 +1,4 @@
-"""The file of a set of sensors: which limb wears which sensor, and what their files do not state.
+"""Read files that describe a set of sensors: the limb that wears each sensor, and facts that data files do not state.
 
     sensors:                      # number, name or file pattern of a sensor: limb
       00B421ED: lshank
@@ -29,7 +29,7 @@ from kinedex.ops.errors import ConfigError, KinedexError, did_you_mean
 
 FASTEST_HZ = 20_000.0
 SLOWEST_HZ = 1.0
-"""Largest and least rate of sensors in samples per second; other rates mean that the unit of time is wrong."""
+"""Bounds of the rate of sensors in samples per second; a rate outside them means that the unit of time is wrong."""
 
 _Axis = Literal["x", "y", "z", "-x", "-y", "-z"]
 _Name = Annotated[str, Field(min_length=1, max_length=500)]
@@ -38,7 +38,7 @@ _Four = Annotated[list[_Name], Field(min_length=4, max_length=4)]
 
 
 class Units(BaseModel):
-    """The units that a user states for sensor files with missing or wrong statements of units."""
+    """The units that a user gives for sensor files that state no units or wrong ones."""
 
     model_config = ConfigDict(extra="forbid", coerce_numbers_to_str=True)
     acc: Literal["m/s2", "g", "mg"] | None = Field(None, description="unit of accelerations")
@@ -63,7 +63,7 @@ class Columns(BaseModel):
     )
 
     def names(self, channel: str) -> tuple[str, ...]:
-        """Return the columns of a channel; none for a channel that is not there."""
+        """Return the names of the columns of a channel; empty if the channel is absent."""
         given = getattr(self, channel)
         return () if given is None else (given,) if isinstance(given, str) else tuple(given)
 
@@ -96,36 +96,36 @@ class SensorEntries(BaseModel):
 
 @dataclass(frozen=True, eq=False)
 class SensorSet:
-    """Sensors, the limbs that wear them, and what their files do not state.
+    """Sensors, the limbs that wear them, and facts that their data files do not state.
 
     Attributes
     ----------
     entries : SensorEntries
-        The content of the file; empty where there is none.
+        The content of the file; empty if there is no file.
     located : Located or None
-        The file, with the lines of its keys; None where there is none.
+        The file, with the lines of its keys; None if there is no file.
     """
 
     entries: SensorEntries = field(default_factory=lambda: SensorEntries.model_validate({}))
     located: Located | None = None
 
     def unit(self, quantity: str) -> str | None:
-        """Return the unit of acc, gyr, mag or time that the user states; None where he states none."""
+        """Return the unit that the user gives for acc, gyr, mag or time; None if the user gives none."""
         unit: str | None = getattr(self.entries.units, quantity, None)
         return unit
 
     def limb(self, sensor: str, file: str = "") -> str | None:
         """Return the limb that wears a sensor; None for a sensor that is assigned to no limb.
 
-        An entry of the sensor's own name comes before patterns of files, of which the first that fits counts. A sensor
-        with the name of a limb is worn on it, unless the file has sensors.
+        An entry with the sensor's name takes precedence over patterns of file names; the first matching pattern is
+        used. If the set lists no sensors, a sensor with the name of a limb is worn on that limb.
 
         Parameters
         ----------
         sensor : str
-            Its name or number.
+            The name or number of the sensor.
         file : str, optional
-            The path of its file, below the folder of the recordings, with "/" between folders.
+            The path of the sensor's file, relative to the folder of the recordings, with "/" between folders.
         """
         worn = self.entries.sensors
         if sensor in worn:
@@ -141,7 +141,7 @@ class SensorSet:
         Parameters
         ----------
         sensors : mapping of str to str
-            The name of each sensor → the path of its file.
+            The path of each sensor's file, by the name of the sensor.
 
         Raises
         ------
@@ -163,7 +163,7 @@ class SensorSet:
         return found
 
     def matrix(self) -> F64 | None:
-        """Return the turn from the file's axes to the sensor's, (3, 3); None where they are the same."""
+        """Return the rotation (3, 3) from the file's axes to the sensor's; None if the axes are the same."""
         if self.entries.axes is None:
             return None
         matrix = np.zeros((3, 3))
@@ -220,7 +220,7 @@ def parse_sensor_set(located: Located) -> SensorSet:
 
 
 def _refuse_numbers(located: Located, listed: Mapping[object, object]) -> None:
-    """Raise an error for ids of sensors that YAML has parsed as numbers: 00571 would be 377."""
+    """Raise an error for sensor ids that YAML has parsed as numbers, since it reads 00571 as the octal number 377."""
     for sensor in listed:
         if not isinstance(sensor, str):
             raise ConfigError(

@@ -1,4 +1,4 @@
-"""Template files hold motion templates as YAML or CSV that people can edit by hand."""
+"""Read and write template files, which hold motion templates as YAML or CSV that people can edit by hand."""
 
 from __future__ import annotations
 
@@ -25,11 +25,12 @@ _WEIGHT = "weight"
 def read_templates(path: str | Path, feature_set: FeatureSet) -> tuple[NamedTemplate, ...]:
     """Read a file of templates: YAML, or CSV by its extension.
 
-    A YAML file maps a name to `rows`: a feature (by name or number) and its value in every column, as a text of 0, 1
-    and * (a wildcard), or as a list of numbers from 0 to 1. Features without a row are wildcards throughout. `weights`
-    gives the weight of a feature (1 by default, 0 to ignore it), `column_weights` the weight of each column,
-    `description` a text. A CSV file holds one template, named after the file: a row per feature, the feature
-    first, then its weight (if there is a column headed `weight`), then its value in every column.
+    A YAML file maps the name of each template to a mapping with the key `rows`. `rows` maps a feature (by name or
+    number) to its values in all columns, as a text of 0, 1 and * (a wildcard) or as a list of numbers from 0 to 1.
+    Features without a row are wildcards throughout. The optional key `weights` maps a feature to its weight (1 by
+    default, 0 to ignore it), `column_weights` lists the weight of each column, and `description` is a text. A CSV file
+    holds one template, which is named after the file. Each of its rows has a feature, its weight (if there is a column
+    headed `weight`), and its value in every column.
 
     Parameters
     ----------
@@ -41,7 +42,8 @@ def read_templates(path: str | Path, feature_set: FeatureSet) -> tuple[NamedTemp
     Raises
     ------
     ConfigError
-        At the first fault, with its line, what was expected, and the nearest valid name.
+        If the file is invalid; the message has the line of the first fault, what was expected, and the nearest valid
+        name.
     """
     path = Path(path).expanduser()
     if path.suffix.lower() in (".yaml", ".yml"):
@@ -197,7 +199,7 @@ def _row_text(row: F64) -> str:
 
 
 def _number(value: float) -> str:
-    """Return the shortest text that reads back as the same number."""
+    """Return the shortest text that is read as the same number."""
     whole = float(value)
     return str(int(whole)) if whole.is_integer() else repr(whole)
 
@@ -206,7 +208,7 @@ def _number(value: float) -> str:
 
 
 def _from_csv(text: str, path: Path, feature_set: FeatureSet) -> NamedTemplate:
-    """Read a table as the mapping that a YAML file of it would hold."""
+    """Convert a CSV table to the mapping that an equivalent YAML file would hold, and read that mapping."""
     reader = csv.reader(io.StringIO(text))
     try:
         table = [(reader.line_num, [cell.strip() for cell in row]) for row in reader if any(map(str.strip, row))]

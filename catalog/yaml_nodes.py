@@ -28,16 +28,16 @@ MAX_DIGITS = 400
 """Maximum number of characters of an integer; Python prints none of more than 4,300 decimal digits."""
 
 MAX_VALUES = 100_000
-"""Maximum number of values that a file may hold by way of aliases; one without aliases may have `MAX_NODES`."""
+"""Maximum number of values after the expansion of aliases; a file without aliases may have `MAX_NODES`."""
 
 EXPLAINED_CHARACTERS = 200_000
-"""The longest text that is parsed once more for a better message; the parser in Python takes a second for this."""
+"""Maximum length of an invalid text that is parsed again in pure Python for a better message; this takes a second."""
 
 _INTEGER = "tag:yaml.org,2002:int"
 
 
 class _Bounded(Composer):
-    """Composes nodes, and raises a ConfigError at the first one beyond the bounds."""
+    """Composes nodes, and raises a ConfigError at the first node that exceeds the bounds."""
 
     path: Path
     peek_event: Any  # a method of the parser
@@ -90,7 +90,7 @@ if yaml.__with_libyaml__:
 
 
 def composed(text: str, path: Path) -> yaml.Node | None:
-    """Return the node tree of a text, by libyaml where it is installed, which is seven times as fast.
+    """Return the node tree of a text, using libyaml if it is installed, since it is seven times as fast.
 
     Parameters
     ----------
@@ -102,9 +102,9 @@ def composed(text: str, path: Path) -> yaml.Node | None:
     Raises
     ------
     ConfigError
-        The text is beyond the bounds.
+        The text exceeds the bounds.
     yaml.YAMLError, ValueError
-        It is no YAML.
+        The text is not valid YAML.
     """
     if len(text) > MAX_BYTES:
         raise too_large(path, f"has {len(text) / 1e6:.1f} MB")
@@ -114,7 +114,7 @@ def composed(text: str, path: Path) -> yaml.Node | None:
             root = _document(kind, text, path)
             break
         except (yaml.YAMLError, ValueError):
-            # The parser in Python gives the better message for what libyaml refuses.
+            # The parser in Python gives better messages than libyaml for invalid YAML.
             if number == len(_LOADERS) - 1 or len(text) > EXPLAINED_CHARACTERS:
                 raise
     if root is not None:
@@ -138,14 +138,14 @@ def _document(kind: Any, text: str, path: Path) -> yaml.Node | None:
 
 
 def _refuse_bombs(root: yaml.Node, path: Path) -> None:
-    """Raise an error for a file whose aliases expand to too many values, which are counted without expanding them."""
+    """Raise an error if a file's aliases would expand to too many values; the values are counted without expansion."""
     sizes: dict[int, int] = {}
     waiting: list[tuple[yaml.Node, bool]] = [(root, False)]
     while waiting:
         node, ready = waiting.pop()
         parts = _parts(node)
         if ready:
-            # An alias inside of what it names has no size yet; building it fails with a message of its own.
+            # An alias within the node that it refers to has no size yet; the construction rejects it later.
             sizes[id(node)] = 1 + sum(sizes.get(id(part), 0) for part in parts)
         elif id(node) not in sizes:
             sizes[id(node)] = 0

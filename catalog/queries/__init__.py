@@ -1,1 +1,1 @@
-"""Keyframe queries: the query itself, and query files that are read and written."""
+"""Keyframe queries, and readers and writers of query files."""

@@ -1,4 +1,4 @@
-"""Chains of keyframes as query files write them: poses by feature names or patterns, and the gaps between them."""
+"""Read chains of keyframes from query files: poses given by feature names or patterns, and the gaps between them."""
 
 from __future__ import annotations
 
@@ -20,10 +20,10 @@ FORMS = (
     '"within 2 s", "0.5 s to 2 s", "5 to 12 frames", "at least 1 s", "exactly 3 frames", "0.5 s ± 0.2 s", '
     '"0.5 s, stiffness 0.6", "any time", "same frame"'
 )
-"""Examples of the texts that are understood."""
+"""Examples of texts that are valid gaps, for error messages."""
 
 UNITS = "ms, s, min, h or frames, also written out"
-"""The units of time in these texts."""
+"""The units of time that gaps may have, for error messages."""
 
 _SECONDS = {
     "milliseconds?|ms": 0.001,
@@ -47,7 +47,7 @@ _TEXTS = {
 
 
 _SHORTER_PATTERNS = {"mix": 13}
-"""Sets whose patterns may be shorter, and their length in the papers: F40 was added to mix later."""
+"""The shorter length that patterns of a set may have, as in the papers: F40 was added to the set `mix` later."""
 
 
 class GapEntry(BaseModel):
@@ -79,7 +79,7 @@ def read_gap(located: Located, written: Any, rate_hz: float, *key: str | int) ->
     Raises
     ------
     ConfigError
-        If it is no gap, or holds no whole number of frames.
+        If the value is not a valid gap, or its range contains no whole number of frames.
     """
     if isinstance(written, str):
         return _from_text(located, written, rate_hz, *key)
@@ -166,7 +166,7 @@ def _from_distance(located: Located, entry: GapEntry, rate_hz: float, *key: str 
 
 
 def _range(located: Located, low: float, high: float, written: str, *key: str | int) -> Gap:
-    """Return the gap of the whole frames in a range."""
+    """Return the gap that contains the whole numbers of frames in a range."""
     if low > high:
         raise located.error(f"must have low <= high: the first time must not exceed the second, got {written}", *key)
     least = math.ceil(low)
@@ -191,7 +191,7 @@ class Chain:
     gaps : tuple of Gap
         The gaps between them.
     positions : tuple of int or None
-        Their template columns, where the file gives them.
+        The template column of each keyframe; None if the file gives none.
     """
 
     keyframes: tuple[Keyframe, ...]
@@ -255,7 +255,8 @@ def read_chain(located: Located, entry: ChainEntry, feature_set: FeatureSet, rat
     Raises
     ------
     ConfigError
-        At the first fault, with its line, what was expected, and the nearest valid name.
+        If the entry is invalid; the message has the line of the first fault, what was expected, and the nearest valid
+        name.
     """
     written = entry.keyframes or []
     gaps = _gaps(located, entry, rate_hz, *key)
@@ -286,7 +287,7 @@ def read_chain(located: Located, entry: ChainEntry, feature_set: FeatureSet, rat
 
 
 def _gaps(located: Located, entry: ChainEntry, rate_hz: float, *key: str | int) -> list[Gap]:
-    """Read the gaps of a query, in whichever of the allowed forms they are written."""
+    """Read the gaps of a query, which may be written in any of the allowed forms."""
     frames = entry.keyframes or []
     with_gap = [i for i, frame in enumerate(frames) if frame.after is not None]
     if with_gap:
@@ -312,7 +313,7 @@ def _gaps(located: Located, entry: ChainEntry, rate_hz: float, *key: str | int) 
 
 
 def _keyframe(located: Located, entry: _KeyframeEntry, feature_set: FeatureSet, *key: str | int) -> list[Keyframe]:
-    """Read a keyframe; features of several sets make several keyframes, which share a frame."""
+    """Read a keyframe; features of several sets give several keyframes on the same frame."""
     if entry.set is not None and entry.feature_set is not None:
         raise located.error("give either `set` or `feature_set`; they mean the same", *key)
     set_key = "set" if entry.set is not None else "feature_set"

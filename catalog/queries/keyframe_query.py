@@ -1,9 +1,10 @@
-"""Keyframe queries: keyframes over feature sets, the gaps between them, alternatives, and the class they are for.
+"""Keyframe queries: keyframes over feature sets, the gaps between them, alternatives, and a target class.
 
-A mirrored query finds the same motion of the other side of the body. The pairs are those of the feature set (`mirror`
-of its file). For the 40 features of body40 a mirrored query finds exactly the mirrored motion on a body that is
-symmetric in frame 0 (some thresholds are multiples of a right limb for both sides), while its pelvis does not turn
-(both hands move forwards with respect to the left hip).
+A mirrored query finds the same motion on the other side of the body. The feature set defines which features are
+exchanged (`mirror` in its file). With the 40 features of body40, a mirrored query finds exactly the mirrored motion
+under two conditions. The body must be symmetric in frame 0, since some thresholds of both sides are multiples of the
+length of a right limb. The pelvis must not rotate, since the forward motion of both hands is measured from the left
+hip.
 """
 
 from __future__ import annotations
@@ -50,9 +51,9 @@ class Gap:
     low, high : int
         The range, both ends included; `UNBOUNDED` is no upper bound.
     distance : int or None
-        The distance that the gap was written as, or None where it was written as a range.
+        The distance from which the range was computed; None if the gap was written as a range.
     stiffness : float or None
-        The stiffness that it was written as.
+        The stiffness from which the range was computed; None if the gap was written as a range.
     """
 
     low: int
@@ -71,12 +72,12 @@ class Gap:
 
     @property
     def nominal_stiffness(self) -> float:
-        """The stiffness as written, else that of the range (thesis, Eq. 4.7)."""
+        """The stiffness of the gap; if it was written as a range, the stiffness of that range (thesis, Eq. 4.7)."""
         return nominal_gap(self.low, self.high)[1] if self.stiffness is None else self.stiffness
 
 
 SAME_FRAME = Gap.of_distance(0, 1.0)
-"""The gap between the parts of a keyframe whose features lie in several sets: they share a frame."""
+"""The gap of 0 frames between keyframes on the same frame, into which features of several sets are split."""
 
 
 @dataclass(frozen=True)
@@ -94,17 +95,17 @@ class KeyframeQuery:
     gaps : tuple of Gap
         The K - 1 gaps between them.
     positions : tuple of int or None
-        The template column of each keyframe, or None where those that fit the template best are taken.
+        The template column of each keyframe; None to use the columns that match the template best.
     description : str
         A description of the query.
     takes : str or None
         A SQL filter over the takes that are searched, or None for all takes.
     margins : (int, int) or None
-        The frames before and after a hit that the motion may reach, or None where they follow from the template.
+        The number of frames before and after a hit that the motion may extend; None to derive it from the template.
     alternatives : tuple of KeyframeQuery
-        Further chains of keyframes, without alternatives of their own, whose hits are hits of this query as well.
+        Further chains of keyframes whose hits are also hits of this query; they must have no alternatives.
     takes_at : str
-        The file and line of `takes`, for errors alone.
+        The file and line of `takes`, used only in error messages.
     """
 
     name: str
@@ -132,7 +133,7 @@ class KeyframeQuery:
 
     @property
     def chains(self) -> tuple[KeyframeQuery, ...]:
-        """The query without its alternatives, followed by these; each is searched alone, and the hits are united."""
+        """The query without its alternatives, followed by the alternatives; their hits are united."""
         return (replace(self, alternatives=()), *self.alternatives) if self.alternatives else (self,)
 
     @property
@@ -142,7 +143,7 @@ class KeyframeQuery:
 
     @property
     def least_stiffness(self) -> float:
-        """The smallest stiffness of all gaps; 0 where all keyframes share a frame, so that the tempo is unknown."""
+        """The smallest stiffness of all gaps; 0 if all keyframes are on one frame, since the tempo is then unknown."""
         return min((gap.nominal_stiffness for gap in self.gaps if gap != SAME_FRAME), default=0.0)
 
 
@@ -154,7 +155,7 @@ def choose_queries(queries: Sequence[KeyframeQuery], names: Sequence[str]) -> tu
     queries : sequence of KeyframeQuery
         The queries to choose from.
     names : sequence of str
-        The names, in the order of the result; all queries are returned where there are none.
+        The names, in the order of the result; if there are none, all queries are returned.
 
     Raises
     ------
@@ -170,12 +171,12 @@ def choose_queries(queries: Sequence[KeyframeQuery], names: Sequence[str]) -> tu
 
 @dataclass(frozen=True)
 class WordPattern:
-    """One chain of keyframes in bits of whole words.
+    """A chain of keyframes whose masks and values are bits of whole words, not of single feature sets.
 
     Parameters
     ----------
     masks, values : tuple of int
-        K keyframes.
+        The mask and the value of each of K keyframes.
     gaps : tuple of (int, int)
         The K - 1 gaps (low, high) between them, in frames.
     """
@@ -186,7 +187,7 @@ class WordPattern:
 
 
 def word_pattern(chain: KeyframeQuery, feature_set: FeatureSet) -> WordPattern:
-    """Return a chain in bits of whole words; keyframes of several sets on the same frame become one.
+    """Convert a chain to bits of whole words; keyframes of several sets on the same frame are merged.
 
     Parameters
     ----------
@@ -208,7 +209,7 @@ def word_pattern(chain: KeyframeQuery, feature_set: FeatureSet) -> WordPattern:
         mask, value = keyframe.mask << shift, keyframe.value << shift
         if number:
             gap = chain.gaps[number - 1]
-            # both may fix a feature to different values, so that no frame matches
+            # merged keyframes may require different values of a feature, so that no frame matches
             if gap.high == 0 and not masks[-1] & mask:
                 masks[-1] |= mask
                 values[-1] |= value
@@ -220,7 +221,7 @@ def word_pattern(chain: KeyframeQuery, feature_set: FeatureSet) -> WordPattern:
 
 
 def query_share(query: KeyframeQuery, feature_set: FeatureSet, known: int) -> float:
-    """Return the fraction of a query's fixed entries that are known; of several alternatives the greatest fraction."""
+    """Return the fraction of a query's fixed entries whose features are known, the maximum over its alternatives."""
     return max(known_share(_whole_masks(chain, feature_set), known) for chain in query.chains)
 
 
@@ -264,7 +265,7 @@ def _restricted(keyframe: Keyframe, feature_set: FeatureSet, known: int) -> Keyf
 
 
 def features_of(keyframe: Keyframe, feature_set: FeatureSet) -> tuple[list[str], list[str]]:
-    """Return the names of the features that a keyframe requires to be on, and of features that must be off."""
+    """Return the names of the features that a keyframe requires to be on, and of those that must be off."""
     on: list[str] = []
     off: list[str] = []
     for number in feature_set.word_set(keyframe.set).numbers:
@@ -275,20 +276,20 @@ def features_of(keyframe: Keyframe, feature_set: FeatureSet) -> tuple[list[str],
 
 
 def words_of(keyframe: Keyframe, feature_set: FeatureSet) -> str:
-    """Return a keyframe in words: the names of the features that it asks to be on, and of the others after a "not"."""
+    """Describe a keyframe: the names of the features that must be on, then after a "not" of those that must be off."""
     on, off = features_of(keyframe, feature_set)
     return ", ".join([*on, *(f"not {name}" for name in off)])
 
 
 def pattern_of(keyframe: Keyframe, feature_set: FeatureSet) -> str:
-    """Return a keyframe as the papers write it: 0, 1 or * for each feature of its set, the lowest first."""
+    """Return a keyframe in the papers' notation: 0, 1 or * for each feature of its set, the lowest first."""
     count = feature_set.word_set(keyframe.set).count
     letters = ("*" if not keyframe.mask >> i & 1 else str(keyframe.value >> i & 1) for i in range(count))
     return "".join(letters)
 
 
 def mirrored(query: KeyframeQuery, feature_set: FeatureSet) -> KeyframeQuery:
-    """Return the query for the same motion of the other side; mirroring it twice gives an equal query.
+    """Return the query for the same motion on the other side of the body; mirroring twice gives an equal query.
 
     Parameters
     ----------
@@ -313,7 +314,7 @@ def mirrored(query: KeyframeQuery, feature_set: FeatureSet) -> KeyframeQuery:
 
 
 def _mirrored(keyframe: Keyframe, feature_set: FeatureSet) -> Keyframe:
-    """Return a keyframe in which left and right have changed places."""
+    """Return a keyframe in which left and right are exchanged."""
     word_set = feature_set.word_set(keyframe.set)
     mask = value = 0
     for number in word_set.numbers:

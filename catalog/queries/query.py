@@ -23,12 +23,12 @@ from kinedex.catalog.queries.query_reader import (
 from kinedex.ops.errors import ConfigError, KinedexError, did_you_mean
 
 FEATURES = "body40"
-"""The feature set of queries unless another is given."""
+"""The default feature set of queries."""
 
 AnyQuery = TypeVar("AnyQuery", bound="Query")
 
 _INNER = (*STRUCTURE, "gaps", "distances", "stiffness", "positions", "mirror")
-"""The keys that a query keeps if it is nested in another one."""
+"""The keys of a query that still have an effect if it is nested in another query."""
 
 
 class Query:
@@ -41,38 +41,39 @@ class Query:
     ----------
     keyframes : sequence of mapping, optional
         The poses, in order of time. A pose has ``"on"`` and ``"off"``, lists of features by name (``"rknee_bent"``),
-        number (20) or label (``"F20"``); any other feature may be on or off. In place of these it may have ``"set"``
-        and ``"pattern"``, a text of 0, 1 and * for each feature of a feature set. It may also have a ``"name"`` and,
-        from the second pose on, ``"after"``, the gap that it follows.
+        number (20) or label (``"F20"``); any other feature may be on or off. Instead, a pose may have ``"set"`` and
+        ``"pattern"``, a text with 0, 1 or * for each feature of a feature set. A pose may also have a ``"name"`` and,
+        from the second pose on, ``"after"``, the gap between the previous pose and this one.
     gaps : sequence of str, mapping or tuple, optional
-        The gaps between the poses, one fewer than poses, where these have no ``"after"``. A gap is a text such as
+        The gaps between the poses, one fewer than poses, unless the poses have ``"after"``. A gap is a text such as
         ``"within 2 s"``, ``"0.5 s to 2 s"``, ``"at least 1 s"``, ``"0.5 s ± 0.2 s"`` or ``"same frame"``; a mapping
         such as ``{"seconds": 0.5, "tolerance": 0.2}`` or ``{"frames": 12, "stiffness": 0.5}``; or ``(low, high)`` in
         frames, both ends included, with None for no upper bound.
     name : str, optional
-        The name of the query, which is that of its hits.
+        The name of the query, which its hits also have.
     distances : sequence of int, optional
-        The distances between the poses in frames, with `stiffness`, in place of `gaps` (thesis, Section 3.4).
+        The distances between the poses in frames, used together with `stiffness` instead of `gaps` (thesis, Section
+        3.4).
     stiffness : sequence of float, optional
         A stiffness for each distance, from 0 (any later frame) to 1 (exactly the distance).
     positions : sequence of int, optional
-        The template column of each pose, for preselection; by default those that fit a template best.
+        The template column of each pose, for preselection; by default the columns that match a template best.
     sequence : sequence of Query, mapping or str, optional
-        A query, followed by steps ``{"then": query, "within": "2 s"}`` or ``{"then": query, "gap": gap}``. A query in
-        there is a `Query`, a mapping with the parameters of this constructor, or a query of a file:
+        A query, followed by steps ``{"then": query, "within": "2 s"}`` or ``{"then": query, "gap": gap}``. Each query
+        is a `Query`, a mapping with the parameters of this constructor, or a reference to a query of a file:
         ``{"file": path, "query": name}``.
     any_of : sequence of Query or mapping, optional
-        Queries as in `sequence`; a hit of any is a hit of this one.
+        Alternative queries, given as in `sequence`; a hit of any of them is a hit of this query.
     mirror : {"both", "other"}, optional
-        Whether hits are motions of either side of the body, or of the other side alone.
+        With "both", hits are motions of either side of the body; with "other", only of the mirrored side.
     target : str, optional
         The class or subclass whose motions the query finds (`class` in query files); by default the name.
     takes : str, optional
         A SQL filter over the columns of takes; other takes are not searched.
     margins : (int, int), optional
-        The frames before and after a hit that a motion may reach; by default they follow from the template.
+        The number of frames before and after a hit that a motion may extend; derived from the template by default.
     description : str, optional
-        One sentence for people.
+        A description in one sentence.
     feature_set : str, Path or FeatureSet, optional
         The features of the query: a shipped set, a file, or an object.
 
@@ -149,7 +150,7 @@ class Query:
         Raises
         ------
         ConfigError
-            If the feature set lacks a feature of the query, or a gap holds no whole frame at the rate.
+            If the feature set lacks a feature of the query, or a gap contains no whole number of frames at this rate.
 
         Examples
         --------
@@ -312,7 +313,7 @@ class Query:
 
     @classmethod
     def _read(cls, located: Located, feature_set: str | Path | FeatureSet) -> list[Self]:
-        """Return the queries of a file, in which references to other queries are replaced by these."""
+        """Return the queries of a file, with references to other queries replaced by the queries themselves."""
         features = feature_set if isinstance(feature_set, FeatureSet) else load_feature_set(feature_set)
         reader = QueryReader(located, features, ANALYSIS_RATE_HZ)
         found = []
@@ -344,7 +345,7 @@ def _chosen(found: list[AnyQuery], name: str | None, where: str) -> AnyQuery:
 
 
 class _WrittenInPython(Located):
-    """A query written in Python: errors name its parameters."""
+    """The content of a query that was written in Python, whose errors name parameters instead of lines."""
 
     def error(self, message: str, *key: str | int) -> ConfigError:
         """Return an error that names the parameter."""
@@ -378,7 +379,7 @@ def _body(reader: QueryReader, name: str) -> dict[str, Any]:
 
 
 def _written_out(body: dict[str, Any], reader: QueryReader) -> dict[str, Any]:
-    """Return the entry of a query in which names of other queries, in any file, are replaced by their entries."""
+    """Return an entry in which references to other queries, in any file, are replaced by the entries themselves."""
 
     def item(one: Any) -> Any:
         if not isinstance(one, str) and not is_reference(one):

@@ -20,20 +20,20 @@ MAX_CHAINS = 64
 """Maximum number of chains of keyframes into which one query may expand: alternatives within sequences multiply."""
 
 STRUCTURE = ("keyframes", "sequence", "any_of")
-"""The keys of a query of which it has exactly one."""
+"""The keys that define the structure of a query, which has exactly one of them."""
 
 _OUTERMOST_ONLY = ("name", "description", "class", "takes", "margins", "part")
-"""The keys of a query that would have no effect if it is nested in another one."""
+"""The keys that are allowed only in the outermost query, since they have no effect in a nested one."""
 
 _Within = tuple[tuple[Path, str], ...]
 """The queries that are being read, from the outermost to the innermost: file and name of each."""
 
 ANALYSIS_RATE_HZ = 30.0
-"""The analysis rate of the papers, by which seconds become frames unless a store gives another."""
+"""The analysis rate of the papers, used to convert seconds to frames unless a store has another rate."""
 
 
 class QueryEntry(ChainEntry):
-    """One query, as a query file writes it."""
+    """The entry of one query in a query file."""
 
     name: str | None = None
     description: str = ""
@@ -47,7 +47,7 @@ class QueryEntry(ChainEntry):
 
 
 class StepEntry(BaseModel):
-    """One step of a sequence but the first: the query that follows, and the time after which it does."""
+    """A step of a sequence after its first query: the next query, and the time between the two."""
 
     model_config = ConfigDict(extra="forbid")
     then: Any = None
@@ -56,7 +56,7 @@ class StepEntry(BaseModel):
 
 
 class ReferenceEntry(BaseModel):
-    """A query of another file: its name there, and the file, relative to this one, or the name of a shipped file."""
+    """A reference to a query of another file: a path relative to this file or a shipped name, and the query's name."""
 
     model_config = ConfigDict(extra="forbid")
     file: str
@@ -74,7 +74,7 @@ def referred_path(located: Located, name: str, *key: str | int) -> Path:
     Raises
     ------
     ConfigError
-        If there is no such file, with the line of the reference.
+        If there is no such file; the message has the line of the reference.
     """
     try:
         refuse_addresses(name)
@@ -101,7 +101,7 @@ class QueryReader:
     rate_hz : float
         The analysis rate, by which seconds become frames.
     files : dict of Path to QueryReader, optional
-        The readers of files that were opened before, by absolute path; this one is added to them.
+        The readers of files that were opened before, by absolute path; this reader is added to the dict.
     """
 
     def __init__(
@@ -149,7 +149,7 @@ class QueryReader:
         return entry
 
     def query(self, name: str) -> KeyframeQuery:
-        """Return the query of a name."""
+        """Return the query with a name."""
         key, entry = self.entries[name]
         first, *others = self.chains_of(name, ())
         made = KeyframeQuery(
@@ -229,7 +229,7 @@ class QueryReader:
         return other.chains_of(name, within)
 
     def _sequence(self, items: list[Any], within: _Within, *key: str | int) -> list[Chain]:
-        """Join queries; a gap lies between the last keyframe of one and the first of the next."""
+        """Join queries in sequence, with a gap between the last keyframe of each query and the first of the next."""
         found: list[Chain] = []
         for i, item in enumerate(items):
             if i == 0:
@@ -272,7 +272,7 @@ def _joined(one: Chain, gap: Gap, other: Chain) -> Chain:
 
 
 def with_switches(located: Located) -> Located:
-    """Turn the keys `on` and `off`, which YAML 1.1 takes for true and false, back into words."""
+    """Convert the keys `on` and `off`, which YAML 1.1 reads as true and false, back to texts."""
 
     def word(step: Any) -> Any:
         return "on" if step is True else "off" if step is False else step
@@ -301,7 +301,7 @@ def _query_name(located: Located, key: str | int, entry: QueryEntry) -> str:
 def read_queries(
     name_or_path: str | Path, feature_set: FeatureSet, rate_hz: float = ANALYSIS_RATE_HZ
 ) -> tuple[KeyframeQuery, ...]:
-    """Read a file of keyframe queries, YAML or the papers' JSON.
+    """Read a file of keyframe queries, either YAML or JSON in the papers' form.
 
     Parameters
     ----------
@@ -353,7 +353,7 @@ def read_query_files(
 def parse_queries(
     text: str, feature_set: FeatureSet, path: str | Path = "queries", rate_hz: float = ANALYSIS_RATE_HZ
 ) -> tuple[KeyframeQuery, ...]:
-    """Read queries like `read_queries`, from a text; errors name `path`, and references are relative to it."""
+    """Read queries from a text like `read_queries`; errors name `path`, and references are relative to `path`."""
     return QueryReader(with_switches(parse_yaml(text, path)), feature_set, rate_hz).queries()
 
 
@@ -384,7 +384,7 @@ def query_file_paths(names_or_paths: Iterable[str | Path]) -> list[Path]:
 
 
 def references(part: Any, *key: str | int) -> Iterator[tuple[Any, ...]]:
-    """Yield the file of every reference in a part of the content of a query file, followed by its key."""
+    """Yield the file of every reference in a part of a query file's content, followed by the key of the reference."""
     if is_reference(part) and isinstance(part.get("file"), str):
         yield (part["file"], *key, "file")
     elif isinstance(part, dict | list):

@@ -1,4 +1,4 @@
-"""Keyframe queries written as YAML that reads back as the same queries."""
+"""Write keyframe queries as YAML that is read back as the same queries."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ def write_queries(queries: Iterable[KeyframeQuery], feature_set: FeatureSet) -> 
     Parameters
     ----------
     queries : iterable of KeyframeQuery
-        Queries over the sets of the feature set, of different names.
+        Queries over the sets of the feature set, with different names.
     feature_set : FeatureSet
         The features whose names are written.
 
@@ -84,7 +84,7 @@ def pose_groups(query: KeyframeQuery, feature_set: FeatureSet) -> list[list[int]
 
 
 def _keyframe_text(parts: list[Keyframe], feature_set: FeatureSet) -> str:
-    """Return one pose, whose features may lie in several sets."""
+    """Return one pose as query files write it; its features may belong to several sets."""
     named = f"name: {scalar(parts[0].name)}, " if parts[0].name else ""
     if not parts[0].mask:
         return f'{{{named}set: {scalar(parts[0].set)}, pattern: "{pattern_of(parts[0], feature_set)}"}}'
@@ -94,7 +94,7 @@ def _keyframe_text(parts: list[Keyframe], feature_set: FeatureSet) -> str:
 
 
 def pose_text(on: Iterable[str], off: Iterable[str], feature_set: FeatureSet) -> str:
-    """Return the features of a pose that are on and off as query files have them; without any, a set of wildcards."""
+    """Return the features of a pose as query files write them; a pose without features is a pattern of wildcards."""
     names = {"on": list(map(scalar, on)), "off": list(map(scalar, off))}
     if not any(names.values()):
         anything = next(iter(feature_set.sets.values()))

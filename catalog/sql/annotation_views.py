@@ -1,4 +1,4 @@
-"""Views of results: templates, annotations, rankings, and their evaluation."""
+"""Define the views of templates, annotations, rankings, and their evaluation."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Views of results: duplicates, and the source files of the archive."""
+"""Define the views of duplicates and of the source files of the archive."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Descriptions of views: columns with types and meanings, and a query that runs."""
+"""Classes that describe SQL views: their columns with types and meanings, and an example query."""
 
 from __future__ import annotations
 
@@ -25,9 +25,9 @@ class View:
     name : str
         Its name.
     origin : str
-        "index" (a table of the published index), "parts" (read from the store's Parquet files), "results" (likewise,
-        those of the current pipeline), "pipelines" (read from the manifest), "labels" (statements of people) or
-        "derived" (made of other views by `body`).
+        The source of its rows: "index" (a table of the published index), "parts" (the store's Parquet files), "results"
+        (Parquet files of the current pipeline), "pipelines" (the manifest), "labels" (labels given by people) or
+        "derived" (other views, selected by `body`).
     summary : str
         Its purpose in one sentence.
     columns : tuple of Column
@@ -35,11 +35,11 @@ class View:
     example : str
         A query that runs on any store.
     body : str
-        The SELECT of a view that is made of others.
+        The SELECT statement of a view that is derived from other views.
     stored : tuple of Column
-        The columns of the Parquet files of a view of results.
+        For a view of results, the columns of its Parquet files.
     stages : tuple of str
-        The kinds of stages that make the rows of a view of results.
+        For a view of results, the kinds of stages that write its rows.
     """
 
     name: str
@@ -73,11 +73,11 @@ stage    VARCHAR    its stage
 pipeline_run    VARCHAR    the run of the pipeline, as in `pipeline_runs`; NULL while the stage runs again
 """)
 ORIGIN = tuple(column.name for column in _ORIGIN)
-"""The last columns of every view of results, which are not in the Parquet parts but in the manifest, once a part."""
+"""The last columns of every view of results; their values are in the manifest, once for each Parquet part."""
 
 
 def result_view(name: str, summary: str, text: str, example: str, stages: str = "") -> View:
-    """Return the view of a kind of results, with the columns of its parts and of their origin.
+    """Describe the view of a kind of results: the columns of its Parquet parts, followed by those of `ORIGIN`.
 
     Parameters
     ----------
@@ -91,7 +91,7 @@ def result_view(name: str, summary: str, text: str, example: str, stages: str = 
     example : str
         A query that runs on any store.
     stages : str, optional
-        The kinds of stages that make the rows, separated by spaces; none for what a command stores.
+        The kinds of stages that write the rows, separated by spaces; empty for results that a command stores.
     """
     stored = columns(f"{_RUN}\n{text}")
     shown = (*(column for column in stored if column.name not in ORIGIN), *_ORIGIN)

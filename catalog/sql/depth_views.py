@@ -1,4 +1,4 @@
-"""Views of results: the pose database, takes made from depth, and their evaluation."""
+"""Define the views of the pose database, of takes reconstructed from depth, and of their evaluation."""
 
 from __future__ import annotations
 

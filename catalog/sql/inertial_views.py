@@ -1,4 +1,4 @@
-"""The views of limbs and inertial sensors (thesis, Chapter 7)."""
+"""Define the views of limbs and inertial sensors (thesis, Chapter 7)."""
 
 from __future__ import annotations
 

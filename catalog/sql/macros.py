@@ -16,7 +16,7 @@ class Macro:
     name : str
         Its name.
     arguments : tuple of (str, str or None, str)
-        Name, default and meaning of each argument.
+        The name, default and meaning of each argument; the default is None for a required argument.
     summary : str
         Its purpose in one sentence.
     body : str
@@ -24,9 +24,10 @@ class Macro:
     example : str
         A query that runs on any store.
     table : bool
-        True if it stands in FROM; otherwise it is an expression.
+        True for a table macro, which is used in FROM; False for a scalar macro, which is used in expressions.
     needs : str
-        "index" macros are stored in the index file; "frames" and "results" macros exist where kinedex opens a store.
+        "index" for a macro that is stored in the index file; "frames" or "results" for a macro that is only available
+        when kinedex opens the store.
     """
 
     name: str
@@ -39,30 +40,30 @@ class Macro:
 
     @property
     def signature(self) -> str:
-        """The macro as it is called: name(argument, argument := default)."""
+        """The call of the macro with its arguments: name(argument, argument := default)."""
         arguments = (name if default is None else f"{name} := {default}" for name, default, _ in self.arguments)
         return f"{self.name}({', '.join(arguments)})"
 
     def sql(self, *, temporary: bool = False) -> str:
-        """Return the statement that makes the macro."""
+        """Return the SQL statement that creates the macro."""
         kind = "TEMP MACRO" if temporary else "MACRO"
         return f"CREATE {kind} {self.signature} AS {'TABLE ' if self.table else ''}{self.body}"
 
 
 # These expressions are inserted into the macros that need them, so that no macro calls another.
-# (An argument must not have the name of a column that is used without a table's name in the same expression.)
+# (An argument must not share its name with a column that the same expression uses without a table name.)
 _REFUSE = """error('no {what} ' || coalesce({given}, 'NULL') || coalesce(' (did you mean ''' || (
         SELECT arg_max(near.{name}, jaro_winkler_similarity(near.{name}, {given})) FROM {view} AS near
         WHERE jaro_winkler_similarity(near.{name}, {given}) > 0.75) || '''?)', '') || '; the view {view} lists them')"""
 
 
 def _refuse(what: str, given: str, view: str, name: str) -> str:
-    """Return the error expression for an unknown name, with the nearest name and the view that lists all."""
+    """Return an SQL expression that raises an error for an unknown name, suggesting the nearest name and the view."""
     return _REFUSE.format(what=what, given=f"CAST({given} AS VARCHAR)", view=view, name=name)
 
 
 def _number(feature: str) -> str:
-    """Return the expression for the number of a feature that is given by name, as 7, or as F7."""
+    """Return the SQL expression for the number of a feature that is given as a name, as 7, or as F7."""
     return f"""coalesce(
     (SELECT wanted.number FROM features AS wanted
      WHERE CAST({feature} AS VARCHAR) IN (wanted.name, CAST(wanted.number AS VARCHAR), 'F' || wanted.number)),
@@ -70,7 +71,7 @@ def _number(feature: str) -> str:
 
 
 def _take(name: str) -> str:
-    """Return the expression for the id of a take that is given by name; NULL for NULL."""
+    """Return the SQL expression for the id of a take that is given by name; the id of NULL is NULL."""
     return f"""CASE WHEN {name} IS NOT NULL THEN coalesce(
     (SELECT wanted.take_id FROM takes AS wanted WHERE wanted.name = {name}),
     {_refuse("take is named", name, "takes", "name")}) END"""
@@ -80,10 +81,10 @@ _SET = f"""coalesce(
     (SELECT min(wanted.feature_set) FROM features AS wanted WHERE wanted.feature_set = set_name),
     {_refuse("feature set", "set_name", "features", "feature_set")})"""
 
-# The terms of poses, and the ranges in which each pose is met. `poses` gives them as (k, pose); a pose is the names of
-# features that are on, or, after "not", off. Its ranges are found by a sweep over the ends of runs: where as many of
-# its features are on as it wants, and none that it does not want. In a pose that wants none on, the runs of words show
-# where a frame is valid at all.
+# The terms of each pose, and the ranges of frames in which the pose occurs. `poses` holds the poses as (k, pose); a
+# pose lists the names of features that must be on and, after "not", of those that must be off. A sweep over the ends of
+# runs finds its ranges: all features that must be on are on, and none that must be off. For a pose without features
+# that must be on, the runs of words show which frames are valid.
 _POSE_RUNS = f"""asked AS (
     SELECT p.k, trim(unnest(string_split(CAST(p.pose AS VARCHAR), ','))) AS part FROM poses AS p),
 spelt AS (
@@ -125,9 +126,9 @@ pose_runs AS MATERIALIZED (
     SELECT n.k, n.take_id, min(n.frame) AS start, max(n.next) AS stop FROM numbered AS n
     WHERE n.holds GROUP BY n.k, n.take_id, n.run)"""
 
-# The search of `kinedex search` in the same two passes (thesis, Section 3.5): backwards, of each pose the frames from
-# which the rest can be completed; forwards, from the last frame of each such range of the first pose, always to the
-# farthest frame within the gap. Ranges that overlap or touch are one.
+# The same two passes as `kinedex search` (thesis, Section 3.5). The backward pass finds for each pose the frames from
+# which the remaining poses can be reached. The forward pass starts at the last frame of each such range of the first
+# pose and always continues to the farthest frame within the gap. Ranges that overlap or touch are merged.
 _PATTERN = f"""WITH RECURSIVE
 poses AS (SELECT unnest(range(1, len(poses_in_order) + 1)) AS k, unnest(poses_in_order) AS pose),
 {_POSE_RUNS},

@@ -1,8 +1,8 @@
-"""The views of results that stages have stored, with the rows of the current pipeline or of all pipelines.
+"""The registry of views of stored results, with the rows of the current pipeline or of all pipelines.
 
-A kind of results is registered by its view alone: the view's name is the kind, and its columns are the schema of the
-kind's Parquet parts. To add a kind, add a `result_view` to the module of its topic; the views of a new module are added
-to `RESULT_VIEWS`. docs/sql.md is generated from the views, and docs/formats.md lists the kinds.
+A kind of results is defined by its view alone: the view's name is the kind, and its columns are the schema of the
+kind's Parquet parts. To add a kind, add a `result_view` to the module of its topic. Add the views of a new module to
+`RESULT_VIEWS`. docs/sql.md is generated from the views, and docs/formats.md lists the kinds.
 """
 
 from __future__ import annotations
@@ -73,12 +73,12 @@ query    VARCHAR    name of the query
 
 
 ALL = "all_"
-"""Before the name of a view of results: the view with the same columns that shows the rows of every pipeline."""
+"""Prefix of the name of a view of results, for the view with the same columns and the rows of all pipelines."""
 
 SOURCE_KINDS = ("skeleton_files", "source_files", "ingest_log")
-"""Results that belong to a source folder, whichever pipeline has ingested it."""
+"""Kinds of results that belong to a source folder, whichever pipeline has ingested it."""
 
 SAVED_KINDS = ("hits", "duplicates", "known_failures")
-"""Results that belong to no pipeline: all of them are shown."""
+"""Kinds of results that belong to no pipeline; their views show all rows."""
 
 RESULT_VIEWS = (*ANNOTATION_VIEWS, *TRACKING_VIEWS, *DEPTH_VIEWS, *INERTIAL_VIEWS, *KEYFRAME_VIEWS, *ARCHIVE_VIEWS)

@@ -1,4 +1,4 @@
-"""Views of results: recordings of cameras, tracks, priors, and their evaluation."""
+"""Define the views of camera recordings, tracks, priors, and their evaluation."""
 
 from __future__ import annotations
 

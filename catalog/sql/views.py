@@ -15,7 +15,7 @@ stop    INTEGER    frame after the last"""
 _WORD = """feature_set    VARCHAR    upper, lower or mix
 word    UBIGINT    the word, cut down to the set: bit i is the feature with that `bit`"""
 
-# Annotations define which subclasses are in a class; a subclass in no annotation is a class of its own.
+# Annotations define which subclasses are in a class; a subclass in no annotation forms its own class.
 _CLASSES = """WITH members AS (
     SELECT c.class, c.subclass FROM distance_curves AS c
     UNION
@@ -234,7 +234,7 @@ current    BOOLEAN    true for the current pipeline: the last one run, or that o
 
 
 def help_rows(*, index_only: bool = False) -> list[tuple[str, str, str, str]]:
-    """Return the rows of the view `help` (name, call, summary, example); `index_only` for those in the index file."""
+    """Return the rows (name, call, summary, example) of the view `help`; with `index_only` those of the index file."""
     rows = [
         (view.name, f"FROM {view.name}", view.summary, view.example)
         for view in VIEWS
