@@ -1,6 +1,7 @@
-"""This package computes: its functions take and return numpy arrays, with compiled kernels underneath.
+"""This package holds all computations, as functions of numpy arrays that call compiled kernels.
 
-It reads and writes no files but the cache of compiled kernels, and has no SQL, configuration or logging.
+The only files that it reads and writes are those of the cache of compiled kernels. It uses no SQL, configuration or
+logging.
 """
 
 from pathlib import Path

@@ -1,4 +1,4 @@
-"""This module names the types of arrays by the kind of their numbers, for signatures."""
+"""This module defines short names of array types, such as F64 and I64, for use in signatures."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""A cache keeps the values that were used last, bounded by their number or by their size."""
+"""This module provides a cache that keeps the most recently used values, bounded by their number or total size."""
 
 from __future__ import annotations
 
@@ -16,16 +16,16 @@ def _one(_: object) -> int:
 
 
 class Cache(Generic[Key, Value]):
-    """A mapping that drops what was used longest ago once it holds too much. Several threads may use it.
+    """A thread-safe mapping that drops the least recently used values when their total size exceeds a bound.
 
     Parameters
     ----------
     most : int
-        The largest sum of sizes.
+        The maximum of the sum of all sizes.
     size : callable, optional
-        Function of a value that returns its size; by default each counts as one, so that `most` is their number.
+        A function that returns the size of a value; by default every size is 1, so that `most` is a number of values.
     least : int
-        The number of values that are kept however large they are: those used last.
+        The number of most recently used values that are kept whatever their size.
     """
 
     def __init__(self, most: int, size: Callable[[Value], int] = _one, *, least: int = 1) -> None:
@@ -35,7 +35,7 @@ class Cache(Generic[Key, Value]):
         self._lock = Lock()
 
     def get(self, key: Key) -> Value | None:
-        """Return the value of a key, which then was used last; None if it is not kept."""
+        """Return the value of a key and mark it as used now; return None if the cache does not hold the key."""
         with self._lock:
             if key not in self._held:
                 return None
@@ -43,7 +43,7 @@ class Cache(Generic[Key, Value]):
             return self._held[key][0]
 
     def put(self, key: Key, value: Value) -> Value:
-        """Keep a value, in place of an earlier one of the key, and return it."""
+        """Store a value, replacing any earlier value of the key, and return the new value."""
         size = self._size(value)
         with self._lock:
             self._total += size - self._held.pop(key, (value, 0))[1]

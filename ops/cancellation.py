@@ -47,6 +47,6 @@ def cancelled_when(test: Callable[[], bool]) -> Iterator[None]:
 
 
 def check_cancelled() -> None:
-    """Raise a WithdrawnError if the work of this context was cancelled."""
+    """Raise a CancelledWorkError if the work of this context was cancelled."""
     if _is_cancelled.get()():
         raise CancelledWorkError("the work was withdrawn: nobody waits for its result")

@@ -20,9 +20,9 @@ class Remedy:
     Attributes
     ----------
     text : str
-        A clause that ends the message.
+        The clause that is appended to the error message.
     command : tuple of str
-        The command that does it, word by word; empty where there is none.
+        The command that applies the remedy, word by word; empty if there is none.
     """
 
     text: str
@@ -30,7 +30,7 @@ class Remedy:
 
 
 class KinedexError(Exception):
-    """The base of all errors of kinedex, with a message that a user can act on.
+    """The base class of all errors of kinedex, with a message that tells a user what to do.
 
     Parameters
     ----------
@@ -42,7 +42,8 @@ class KinedexError(Exception):
     Attributes
     ----------
     way_out : (str, str) or None
-        A parameter of the stage that raised it, with a value that lets the same command continue, if there is one.
+        A parameter of the stage that raised the error, and a value of it with which the command can continue; None if
+        there is no such parameter.
     """
 
     way_out: tuple[str, str] | None = None
@@ -65,7 +66,7 @@ class ParameterError(KinedexError, ValueError):
 
 
 class SourceError(KinedexError):
-    """A source file cannot be read as the format that its name or content announces.
+    """A source file cannot be read in the format that its name or content indicates.
 
     Parameters
     ----------
@@ -74,7 +75,7 @@ class SourceError(KinedexError):
     message : str
         What was found and expected.
     line : int, optional
-        The line, from 1; None where the fault has no line (an empty or a missing file).
+        The line, from 1; None if the fault has no line, as in an empty or missing file.
     """
 
     def __init__(self, path: str | Path, message: str, *, line: int | None = None) -> None:
@@ -94,7 +95,7 @@ def _source_error(path: str, reason: str, line: int | None) -> SourceError:
 
 
 class ConfigError(KinedexError):
-    """A configuration file is wrong: the message has file, line, key, the expected value and the most similar name."""
+    """A configuration file is invalid; the message has file, line, key, the expected value and the nearest name."""
 
     def __init__(self, path: str | Path, message: str, *, line: int | None = None, key: str | None = None) -> None:
         message = _readable(message)
@@ -127,15 +128,15 @@ class StoreError(KinedexError):
 
 
 class NewStoreError(StoreError):
-    """A store is sound, but the request needs another store, so that repeating it does not help."""
+    """A store is undamaged but unsuitable for the request, which needs a different store."""
 
 
 class ConflictError(KinedexError):
-    """A change conflicts with a change that somebody else made in the meantime; nothing was changed."""
+    """A change conflicts with a concurrent change by another user or process; nothing was changed."""
 
 
 class AcceptError(KinedexError):
-    """A change would lose something that the user has to accept first (`--accept`); nothing was changed."""
+    """A change would lose data, which the user has to accept first (`--accept`); nothing was changed."""
 
 
 def _readable(message: str) -> str:

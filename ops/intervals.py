@@ -1,7 +1,8 @@
-"""An interval is a range of frames of a take, a hit one that was found, a segment one with a class.
+"""This module defines intervals, which are ranges of frames of a take, with hits and segments, and converts times.
 
-A frame begins at frame / rate seconds, so frame 0 begins at 0. Stored and computed seconds are never rounded. Shown
-ones are rounded to hundredths, and times that somebody enters to the nearest frame, halves upwards in both.
+A hit is an interval that a search has found, and a segment is an interval with a class. A frame begins at frame / rate
+seconds, so frame 0 begins at 0. Stored and computed seconds are never rounded. Displayed seconds are rounded to
+hundredths, and times that a user enters are rounded to the nearest frame; both round halves upwards.
 """
 
 from __future__ import annotations
@@ -35,12 +36,12 @@ class Interval(NamedTuple):
         return self.stop - self.start
 
     def overlaps(self, other: Interval) -> bool:
-        """Return whether both have a frame in common."""
+        """Return whether this interval and another have a frame in common."""
         return self.take == other.take and self.start < other.stop and other.start < self.stop
 
 
 class Hit(NamedTuple):
-    """An interval that a template or a query has found, or that a person has chosen of those found.
+    """An interval that a template or a query has found; a person may have selected it from several.
 
     Parameters
     ----------
@@ -51,7 +52,7 @@ class Hit(NamedTuple):
     cost : float, optional
         The distance from the template; None for a query, which has no distances.
     mirrored : bool
-        True if the mirror image of the template is what fits.
+        True if the interval matches the mirror image of the template.
     """
 
     interval: Interval
@@ -64,8 +65,9 @@ class Hit(NamedTuple):
 class TakeSegment:
     """An interval of a take with a class, which a method found or a person marked.
 
-    The form of many is a table: results of the kind `annotations`, or labels (`storage.snapshot.schemas`). Methods
-    count classes and templates by numbers, in a `Segment` (`ops.annotation.segments`).
+    Many segments are stored as a table, either results of the kind `annotations` or labels
+    (`storage.snapshot.schemas`). Methods use a `Segment` (`ops.annotation.segments`), which refers to classes and
+    templates by numbers.
 
     Parameters
     ----------
@@ -82,8 +84,8 @@ class TakeSegment:
     confidence : float, optional
         The probability that the class is right, from 0 to 1.
     doubted : str, optional
-        The classes that another method found there in place of this one, or "nothing"; None if both agree, or there is
-        no other method.
+        The classes that another method found in these frames instead, or "nothing"; None if both methods agree, or if
+        there is no other method.
     """
 
     take: str
@@ -115,7 +117,7 @@ def in_seconds(frames: npt.NDArray[Any], rate_hz: float) -> npt.NDArray[np.float
 
 
 def in_seconds(frames: float | npt.NDArray[Any], rate_hz: float) -> float | npt.NDArray[np.float64]:
-    """Return the seconds at which frames begin, or that a number of frames lasts, without rounding.
+    """Convert frames, or numbers of frames, to seconds without rounding.
 
     Parameters
     ----------
@@ -128,9 +130,9 @@ def in_seconds(frames: float | npt.NDArray[Any], rate_hz: float) -> float | npt.
 
 
 def shown_seconds(frames: float, rate_hz: float, digits: int = 2) -> str:
-    """Return the seconds of a frame, or of a number of frames, as text without a unit: "22.67".
+    """Convert a frame, or a number of frames, to seconds as text without a unit, such as "22.67".
 
-    Halves are rounded upwards: frame 15 of 120 Hz, at 0.125 s, is "0.13".
+    Halves are rounded upwards: frame 15 at 120 Hz begins at 0.125 s, which gives "0.13".
 
     Parameters
     ----------
@@ -139,14 +141,14 @@ def shown_seconds(frames: float, rate_hz: float, digits: int = 2) -> str:
     rate_hz : float
         Frames per second.
     digits : int
-        Digits after the point: 2, or 1 where lengths are meant.
+        The number of digits after the point; 2 is usual for times, and 1 for durations.
     """
     scale = 10**digits
     return f"{math.floor(scale * frames / rate_hz + 0.5) / scale:.{digits}f}"
 
 
 def nearest_frame(seconds: float, rate_hz: float) -> int:
-    """Return the frame that begins nearest to a time in seconds, the later of two that are equally near."""
+    """Return the frame that begins nearest to a time in seconds; of two equally near frames, the later one."""
     return math.floor(seconds * rate_hz + 0.5)
 
 

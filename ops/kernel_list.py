@@ -1,7 +1,7 @@
-"""This module reads the list of kernels to compile ahead of use: calls with the types of their arguments.
+"""This module reads the list of kernels to compile before their first use, with the types of their arguments.
 
-A line of the list reads like a call: `kinedex.ops.bits.unpack(array(uint64, 2, C), int64)`. Kernels that are called
-only by other kernels are not in it, as they are compiled with their callers.
+A line of the list has the form of a call: `kinedex.ops.bits.unpack(array(uint64, 2, C), int64)`. Kernels that are
+called only by other kernels are not listed, because they are compiled with their callers.
 """
 
 from __future__ import annotations
@@ -17,20 +17,20 @@ LIST = Path(__file__).parent / "kernels.txt"
 
 
 def listed_calls() -> list[str]:
-    """Return the calls of the list, in the order in which the first search and the demo use them."""
+    """Return the lines of the list, in the order in which a first search and the demo use the kernels."""
     lines = LIST.read_text(encoding="utf-8").splitlines()
     return [line for line in lines if line and not line.startswith("#")]
 
 
 def compile_call(text: str) -> None:
-    """Compile the kernel of a line of the list, or load it from the cache; errors are those of `parse_call`."""
+    """Compile the kernel of a line of the list, or load it from the cache; raise the errors of `parse_call`."""
     kernel, kinds = parse_call(text)
     if hasattr(kernel, "compile"):  # without numba's JIT, kernels run as plain Python
         kernel.compile(kinds)
 
 
 def parse_call(text: str) -> tuple[Any, tuple[Any, ...]]:
-    """Return the kernel of a line of the list, and the types of its arguments.
+    """Parse a line of the list; return the kernel and the types of its arguments.
 
     Parameters
     ----------
@@ -54,7 +54,7 @@ def parse_call(text: str) -> tuple[Any, tuple[Any, ...]]:
 
 
 def call_text(function: Any, kinds: Sequence[Any]) -> str:
-    """Return the list's line for a compiled function and the types of its arguments.
+    """Return the line of the list for a kernel and the types of its arguments.
 
     Raises
     ------
@@ -73,7 +73,7 @@ def _object(path: str) -> Any:
 
 
 def _text(kind: Any) -> str:
-    """Return the list's notation of a numba type."""
+    """Convert a numba type to the notation of the list."""
     from numba import types
 
     if isinstance(kind, types.Array) and kind.aligned:
@@ -94,7 +94,7 @@ def _text(kind: Any) -> str:
 
 
 def _type(node: ast.expr) -> Any:
-    """Return the numba type of a notation in the list."""
+    """Convert the notation of a type in the list to the numba type."""
     from numba import types
 
     if isinstance(node, ast.Name):

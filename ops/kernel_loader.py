@@ -18,7 +18,7 @@ _CACHING = "numba.core.caching"
 
 
 def load_kernels_alone(name: str) -> None:
-    """Make numba load the cached kernels of a package by the short way; other kernels are loaded as usual.
+    """Make numba load the cached kernels of one package without compiler modules; others are loaded as usual.
 
     Parameters
     ----------

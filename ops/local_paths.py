@@ -20,12 +20,12 @@ def refuse_addresses(value: object) -> None:
     Parameters
     ----------
     value : object
-        A text or path, or a collection of them; anything else passes.
+        A text or path, or a collection of them; values of other types are accepted.
 
     Raises
     ------
     KinedexError
-        The value is such an address and not a local path.
+        The value is an address with a scheme, or contains one.
     """
     if isinstance(value, str | os.PathLike):
         text = os.fspath(value)

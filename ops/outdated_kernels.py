@@ -1,8 +1,8 @@
 """This module removes compiled kernels from numba's cache on disk when their source has changed.
 
-numba keeps compiled kernels beside their files, and compiles one again where its own file has changed. It does not
-notice a change in another file whose kernels that file calls, and would keep using the old code after an update. So the
-compiled kernels of a file are removed when that file, or one that it imports, has changed since.
+numba caches compiled kernels beside their source files, and compiles a kernel again if its own source file has changed.
+It does not notice a change in an imported file whose kernels are called, and would use outdated code after an update.
+Therefore this module removes the compiled kernels of a file if the file, or one that it imports, has changed.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ STAMP = "kernels.json"
 _IMPORT = re.compile(r"^\s*(?:from\s+([\w.]+)\s+import\s+(\([^)]*\)|[^\n]*)|import\s+([\w.]+))", re.MULTILINE)
 
 State = dict[str, tuple[int, int, str]]
-"""For each source file its size, modification time in ns and sha256."""
+"""A dict from source file to its size, modification time in ns and sha256."""
 
 
 def forget_outdated(package: Path, name: str, environment: Mapping[str, str] = os.environ) -> list[str]:
@@ -32,9 +32,9 @@ def forget_outdated(package: Path, name: str, environment: Mapping[str, str] = o
     package : Path
         The folder of a package whose modules hold the kernels.
     name : str
-        The name that its modules are imported by, as in `import name.module`.
+        The name under which the package is imported, as in `import name.module`.
     environment : mapping of str to str
-        Environment variables, which may set where numba keeps kernels.
+        Environment variables, which may set the folder of numba's cache.
 
     Returns
     -------
@@ -71,7 +71,8 @@ def forget_outdated(package: Path, name: str, environment: Mapping[str, str] = o
 def _place(package: Path, environment: Mapping[str, str]) -> Callable[[Path], Path] | None:
     """Return a function from a folder of code to numba's cache folder for it; None if numba does not compile.
 
-    The cache is in `NUMBA_CACHE_DIR` if set, else beside the code if that is writable, else in the user's cache.
+    The cache is in `NUMBA_CACHE_DIR` if this is set, otherwise beside the code if that folder is writable, otherwise in
+    the user's cache folder.
     """
     if environment.get("NUMBA_DISABLE_JIT", "0") not in ("", "0"):
         return None

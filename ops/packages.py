@@ -22,14 +22,14 @@ def extra_package(name: str, package: str, purpose: str, extra: str) -> ModuleTy
     package : str
         The package as people install it, such as scipy.
     purpose : str
-        The plural or clause with which the error message begins: "a map of an archive needs".
+        The beginning of the error message, a subject with its verb: "a map of an archive needs".
     extra : str
         The extra of kinedex that installs it.
 
     Raises
     ------
     MissingPackageError
-        It is not installed.
+        The package is not installed.
     """
     try:
         return importlib.import_module(name)
@@ -47,7 +47,7 @@ def imu_package(name: str, purpose: str) -> ModuleType:
     name : str
         The module, such as scipy.signal.
     purpose : str
-        The plural or clause that needs it, with which the error message begins.
+        The beginning of the error message, a subject with its verb, as in `extra_package`.
 
     Raises
     ------

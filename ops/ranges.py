@@ -1,14 +1,15 @@
 """This module computes with half-open ranges of frames: int64 arrays (R, 2), one row [start, stop) for each range.
 
-Ranges count the frames of one take, or those of words that are laid end to end, where take i has the frames offsets[i]
-to offsets[i + 1], or positions on one axis for a whole archive. `TakeRanges` holds the ranges of many takes, each in
-frames of its own take.
+The numbers of a range have one of three meanings. They are frames of one take; or frames of concatenated takes, where
+take i has the frames offsets[i] to offsets[i + 1] - 1; or positions on an axis for a whole archive. `TakeRanges` holds
+the ranges of many takes as frames of each take.
 
 On the axis, every frame has the position ``take_index << 32 | frame``. A list of segments is an int64 array (n, 2) of
-half-open ranges of positions, ascending, neither overlapping nor touching (thesis, Eq. 3.5 and 3.6). A frame is below
-2**31 and a gap is clamped to 2**31 - 1. So a frame plus a gap stays below 2**32, and a frame minus a gap ends in the
-upper half of the take before, where no frame is: no hit leaves its take, not even with an unbounded gap. A stop is at
-most 2**31, half a block before the next take begins, so segments of two takes neither overlap nor touch.
+half-open ranges of positions, ascending, neither overlapping nor touching (thesis, Eq. 3.5 and 3.6). Frames are below
+2**31, and gaps are clamped to 2**31 - 1. Hence a frame plus a gap stays below 2**32, and a frame minus a gap may reach
+the upper half of the previous take's block of 2**32 positions, but no frame is there. So no hit leaves its take, even
+if a gap is unbounded. A stop is at most 2**31, half a block before the next take begins, so that segments of two takes
+neither overlap nor touch.
 """
 
 from __future__ import annotations
@@ -31,7 +32,7 @@ _MAX_FRAMES = 2**31
 
 @dataclass(frozen=True)
 class TakeRanges:
-    """The ranges of frames of T takes, one take after the other.
+    """Ranges of frames of T takes, in the order of the takes.
 
     Parameters
     ----------
@@ -72,7 +73,7 @@ class TakeRanges:
         return self.ranges[self.offsets[index] : self.offsets[index + 1]]
 
     def end_to_end(self, offsets: I64) -> I64:
-        """Return the ranges in frames of words laid end to end.
+        """Convert the ranges to frames of concatenated takes.
 
         Parameters
         ----------
@@ -87,7 +88,7 @@ class TakeRanges:
 
     @classmethod
     def by_take(cls, ranges: I64, offsets: I64) -> TakeRanges:
-        """Divide ranges of concatenated words by take; the inverse of `end_to_end`.
+        """Divide ranges in frames of concatenated takes by take; the inverse of `end_to_end`.
 
         Parameters
         ----------
@@ -141,7 +142,7 @@ class TakeRanges:
 
 
 def checked_ranges(ranges: npt.ArrayLike | None, frames: int) -> I64:
-    """Return ranges as an array without empty ranges, and raise an error if they do not ascend.
+    """Check that ranges ascend, and return them as an array without the empty ones.
 
     Parameters
     ----------
@@ -157,7 +158,7 @@ def checked_ranges(ranges: npt.ArrayLike | None, frames: int) -> I64:
     Raises
     ------
     ParameterError
-        If a range ends before it starts, begins before another one ends, or lies outside the frames.
+        If a range ends before it starts, begins before the previous one ends, or lies outside the frames.
     """
     if ranges is None:
         return np.array([[0, frames]] if frames else np.empty((0, 2)), np.int64)
@@ -174,7 +175,7 @@ def extend_and_unite(ranges: I64, offsets: I64, left: int = 0, right: int = 0) -
     Parameters
     ----------
     ranges : int64 array (R, 2)
-        Half-open ranges of words laid end to end, in any order, none of them empty, each within a take.
+        Half-open ranges of frames of concatenated takes, in any order. No range is empty or extends over two takes.
     offsets : int64 array (T + 1,)
         The first frame of each take, and the end. Ranges of two takes are never united.
     left, right : int
@@ -183,7 +184,7 @@ def extend_and_unite(ranges: I64, offsets: I64, left: int = 0, right: int = 0) -
     Returns
     -------
     int64 array (R', 2)
-        Ascending ranges; two of them touch only where one take ends and the next one begins.
+        Ascending ranges; two ranges touch only at the boundary between two takes.
 
     Raises
     ------
@@ -204,7 +205,7 @@ def extend_and_unite(ranges: I64, offsets: I64, left: int = 0, right: int = 0) -
 
 @nb.njit(cache=True, nogil=True)
 def _extend_and_unite(ranges: I64, offsets: I64, left: int, right: int, result: I64) -> int:
-    """Fill in the ranges that `extend_and_unite` returns, and return their number (kernel)."""
+    """Write the ranges that `extend_and_unite` returns to `result`, and return their number (kernel)."""
     take, count, begun = 0, 0, 0  # ranges from `begun` on belong to the current take
     for i in range(len(ranges)):
         if ranges[i, 0] >= offsets[take + 1]:

@@ -1,8 +1,8 @@
 """This module formats counts, lists of names, values and durations as text for the terminal, pages and messages.
 
-It also escapes control and invisible characters of names, values and messages. A terminal would execute ESC sequences
-in a file's name, and a right-to-left override would display a different name. All output of the command line is escaped
-here; CSV, JSON and Parquet in files and pipes keep the true values.
+It also escapes control characters and invisible characters. A terminal would execute ESC sequences in a file's name,
+and a right-to-left override would display a different name. All output of the command line is escaped by this module;
+CSV, JSON and Parquet in files and pipes keep the original values.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ _SHORT = {"\n": "\\n", "\r": "\\r", "\t": "\\t"}
 
 
 def name_list(names: Sequence[str]) -> str:
-    """Join names with commas; of more than eight, only the first eight, and the number of the others."""
+    """Join names with commas; for more than eight names, give the first eight and the number of the others."""
     return ", ".join(names[:_MAX_NAMES]) + (f" and {len(names) - _MAX_NAMES} more" if len(names) > _MAX_NAMES else "")
 
 
@@ -43,7 +43,7 @@ def listed_frames(frames: Sequence[int]) -> str:
 
 
 def two_digits(value: float | None) -> str:
-    """Return a value with two digits, or a dash for None."""
+    """Format a value with two digits after the point, or as a dash for None and NaN."""
     return "–" if value is None or math.isnan(value) else f"{value:.2f}"
 
 
@@ -76,13 +76,13 @@ def visible_text(text: str) -> str:
 def visible_lines(text: str) -> str:
     """Return a message escaped as by `visible`, with line breaks kept and all lines but the first indented.
 
-    So a name that contains a line break cannot look like a separate message. The indent is two spaces or more.
+    The indent, of two spaces or more, shows that a name with a line break does not begin a new message.
     """
     return re.sub(r"\n(?!  |\n|$)", "\n  ", visible_text(text))
 
 
 def json_escaped(text: str) -> str:
-    """Return JSON text with these characters escaped; its values stay the same."""
+    """Escape control and invisible characters in JSON text, so that its values stay the same."""
     # DEL is the only control character that JSON does not escape
     return text if text.isascii() and "\x7f" not in text else _ESCAPED_IN_LINES.sub(_json_escape, text)
 

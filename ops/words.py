@@ -1,10 +1,10 @@
-"""Words are the bit vectors of frames, one bit per feature; this module packs, unpacks and stores them.
+"""This module packs, unpacks and holds words, which are bit vectors with one bit per feature for each frame.
 
-It also handles known features: how templates and keyframes apply to a take whose body lacks joints. A mask with the
-bits of a word marks the features that are known in a take. An unknown feature is 0 in its words, which is not evidence:
-entries of templates and keyframes for this feature are wildcards for the take, and if too few entries are left, the
-template or query is not applied to it. The kernels do not use masks: takes with the same mask are searched together, by
-templates and queries that are restricted to it.
+It also defines how templates and keyframes apply to a take whose body lacks joints. A mask with the bits of a word
+marks the features that are known in a take. An unknown feature is 0 in the words, but this carries no information. For
+such a take, the entries of templates and keyframes for unknown features become wildcards; if too few other entries
+remain, the template or query is not applied to the take. The kernels do not use masks: takes with the same mask are
+searched together, by templates and queries that are restricted to the known features.
 """
 
 from __future__ import annotations
@@ -20,8 +20,8 @@ from kinedex.ops.arrays import U64 as U64
 from kinedex.ops.errors import ParameterError
 
 NO_WORD = np.uint64(0xFFFF_FFFF_FFFF_FFFF)
-"""The word of an invalid frame, which takes part in no run, no template and no hit. Other words have at most 63
-features, so none equals it, and `cut` keeps it. In Parquet it is null.
+"""The word of an invalid frame, which belongs to no run, template or hit. All other words have at most 63 features and
+therefore differ from this word. `cut` leaves it unchanged, and Parquet files store it as null.
 """
 
 MAX_FEATURES = 63
@@ -41,14 +41,14 @@ class TakeWords:
     Parameters
     ----------
     take_ids : int64 array (T,)
-        Ascending.
+        The ids of the takes, ascending.
     offsets : int64 array (T + 1,)
         Take i has the frames offsets[i] to offsets[i + 1] − 1.
     words : uint64 array (N,)
-        Bit i − 1 is feature F_i; `NO_WORD` where the frame is invalid.
+        The words of all frames: bit i − 1 is feature F_i; `NO_WORD` if the frame is invalid.
     known : uint64 array (T,), optional
-        The mask of the features that each take has the joints for, with the bits of a word. The other bits are 0 in its
-        words, which carries no information. None: all features are known in every take.
+        The mask of the known features of each take, with the bits of a word. The bits of unknown features are 0 in its
+        words, without carrying information. None if all features are known in every take.
 
     Raises
     ------
@@ -104,7 +104,7 @@ class TakeWords:
         places : int64 array
             The positions of the takes.
         words : TakeWords
-            Their words, laid end to end: a copy, unless these are all takes.
+            The concatenated words of these takes; a copy, unless the result has all takes.
         """
         if self.known is None:
             return np.arange(len(self)), self
@@ -157,7 +157,7 @@ def bits(words: U64, features: int) -> U8:
     Returns
     -------
     uint8 array (N, f)
-        0 and 1; column i − 1 is F_i.
+        The bits as 0 and 1; column i − 1 is feature F_i.
     """
     shifts = np.arange(features, dtype=np.uint64)
     return ((words[:, None] >> shifts) & np.uint64(1)).astype(np.uint8)
@@ -169,7 +169,7 @@ def pack(matrix: Bool | U8) -> U64:
     Parameters
     ----------
     matrix : bool or uint8 array (N, f)
-        0 and 1.
+        The bits as 0 and 1.
 
     Returns
     -------
@@ -184,7 +184,7 @@ def pack(matrix: Bool | U8) -> U64:
 
 
 def known_share(masks: Iterable[int], known: int) -> float:
-    """Return the fraction of fixed entries that are known; 1 where nothing is fixed.
+    """Return the fraction of fixed entries whose features are known; 1 if no entry is fixed.
 
     Parameters
     ----------
@@ -199,7 +199,7 @@ def known_share(masks: Iterable[int], known: int) -> float:
 
 
 def is_applied(masks: Iterable[int], known: int) -> bool:
-    """Return True if enough of the fixed entries are known, see `known_share` and `MIN_KNOWN`."""
+    """Return whether the fraction of known fixed entries (`known_share`) is at least `MIN_KNOWN`."""
     return known_share(masks, known) >= MIN_KNOWN
 
 
@@ -232,7 +232,7 @@ def rearrange(words: U64, order: I64) -> U64:
     Parameters
     ----------
     words : uint64 array (N,)
-        One word a frame; bits beyond the order's length are 0; `NO_WORD` where the frame is invalid.
+        One word for each frame, or `NO_WORD` if the frame is invalid; bits from f on are 0.
     order : int64 array (f,)
         A permutation of 0 … f − 1: bit i of a result is bit order[i] of its word.
 
@@ -244,7 +244,7 @@ def rearrange(words: U64, order: I64) -> U64:
     Raises
     ------
     ParameterError
-        If the order is no permutation.
+        If the order is not a permutation.
     """
     if len(order) > MAX_FEATURES or not np.array_equal(np.sort(order), np.arange(len(order))):
         raise ParameterError("order", f"a permutation of at most {MAX_FEATURES} bits", order.tolist())

@@ -1,9 +1,9 @@
 """This module projects points into a camera image, and computes the rays of its pixels.
 
-The conventions are those of OpenCV, and hold for every camera of the project: in the camera, x points right, y down and
-z forward; x_camera = R · X + t takes a point X of the world into it; the centre of the first pixel of an image is
-(0, 0). Distortion is that of Brown and Conrady in the order k1 k2 p1 p2 k3 k4 k5 k6, of which the last ones may be
-absent:
+The conventions are those of OpenCV, and hold for every camera of the project. In the camera, x points right, y down and
+z forward. A point X of the world has the camera coordinates R · X + t. The centre of the first pixel of an image is
+(0, 0). Lens distortion follows the model of Brown and Conrady, with coefficients in the order k1 k2 p1 p2 k3 k4 k5 k6,
+of which the last may be absent:
 
     a = x/z, b = y/z, r² = a² + b²,  s = (1 + k1 r² + k2 r⁴ + k3 r⁶) / (1 + k4 r² + k5 r⁴ + k6 r⁶)
     a' = a s + 2 p1 a b + p2 (r² + 2 a²),  b' = b s + p1 (r² + 2 b²) + 2 p2 a b,  pixel = matrix · (a', b', 1)
@@ -68,9 +68,9 @@ def project(
     Returns
     -------
     pixels : float64 array (…, 2)
-        Places in the image, which may lie outside its borders; NaN for points that are not before the camera.
+        Positions in the image, which may lie outside its borders; NaN for points that are not in front of the camera.
     depths : float64 array (…,)
-        z in the camera, in the unit of the world; not above 0 for points that are not before it.
+        z in the camera, in the unit of the world; 0 or negative for points that are not in front of the camera.
 
     Raises
     ------
@@ -102,7 +102,7 @@ def pixel_directions(
     distortion : float64 array (0,), (4,), (5,) or (8,)
         k1 k2 p1 p2 k3 k4 k5 k6, or the first of them.
     pixels : float64 array (…, 2)
-        Places in the image.
+        Positions in the image.
 
     Returns
     -------
@@ -142,12 +142,12 @@ def undistort(distortion: npt.ArrayLike, seen: F64) -> F64:
     distortion : float64 array (0,), (4,), (5,) or (8,)
         k1 k2 p1 p2 k3 k4 k5 k6, or the first of them.
     seen : float64 array (…, 2)
-        Places on the plane z = 1 with distortion.
+        Distorted points on the plane z = 1.
 
     Returns
     -------
     float64 array (…, 2)
-        Places without it; NaN where there is none, as beyond the largest radius that a barrel distortion reaches.
+        Undistorted points; NaN where none exists, as beyond the largest radius that a barrel distortion can produce.
     """
     numbers = _coefficients(distortion)
     if numbers is None:
@@ -190,7 +190,7 @@ def _newton_step(numbers: F64, seen: F64, plane: F64, missing: F64) -> tuple[F64
 
 
 def _lens(numbers: F64, plane: F64) -> tuple[F64, F64]:
-    """Return the distorted points (…, 2), and their derivatives (…, 2, 2) by the undistorted ones."""
+    """Return the distorted points (…, 2), and their derivatives (…, 2, 2) with respect to the undistorted points."""
     k1, k2, p1, p2, k3, k4, k5, k6 = numbers
     a, b = plane[..., 0], plane[..., 1]
     square = a * a + b * b
