@@ -131,7 +131,7 @@ def cut(words: U64, first_feature: int, features: int) -> U64:
     Returns
     -------
     uint64 array (N,)
-        `NO_WORD` is unchanged.
+        The bits of the set in each word; `NO_WORD` is unchanged.
 
     Raises
     ------
@@ -239,7 +239,7 @@ def rearrange(words: U64, order: I64) -> U64:
     Returns
     -------
     uint64 array (N,)
-        `NO_WORD` is unchanged.
+        The permuted words; `NO_WORD` is unchanged.
 
     Raises
     ------

@@ -1,11 +1,11 @@
-"""This module learns a background model: the postures that the takes of an archive usually show.
+"""This module learns a background model, a mixture of a few postures that the takes of an archive usually show.
 
-One average over all frames would be a poor background: features occur together (a person who lies has no foot raised
-and no fast hand), so no frame resembles the average, and every motion is likelier under its own model. So the
-background is a few postures, each with its own share of frames in which a feature is on, found by splitting: the
-average is divided into two along the direction in which frames differ most, both are improved by expectation and
-maximisation, and so on (Linde, Buzo and Gray, An Algorithm for Vector Quantizer Design, 1980; here for a mixture of
-Bernoulli distributions).
+The average of all frames would be a poor background. Features occur together (a person who lies has no foot raised and
+no fast hand), so no frame resembles the average, and every motion is likelier under any other model. The background is
+therefore a mixture of Bernoulli distributions, called postures, each with a probability of every feature. They are
+found by repeated splitting: each posture, at first the average, is divided into two along the direction in which frames
+differ most, and then all postures are improved by expectation maximisation (Linde, Buzo and Gray, An Algorithm for
+Vector Quantizer Design, 1980).
 """
 
 from __future__ import annotations
@@ -37,13 +37,13 @@ def background(words: Sequence[U64], features: int, splits: int = SPLITS) -> F64
     features : int
         The number of features f.
     splits : int
-        The number of times that every posture is divided; 0 gives the average alone.
+        The number of times that every posture is divided; with 0, the average is the only posture.
 
     Returns
     -------
     float64 array (K, f)
-        K = 2 ** splits postures that are equally usual (fewer where there are fewer different words): in each, the
-        share of frames in which each feature is on. One half each where there is no frame.
+        The probability of each feature in each of K postures, which have equal weights. K is 2 ** splits, or less if
+        there are fewer different words. Without any frame, all probabilities are one half.
 
     Raises
     ------
@@ -76,11 +76,11 @@ def log_likelihoods(words: U64, usual: F64, smoothing: float) -> F64:
     Parameters
     ----------
     words : uint64 array (V,)
-        One word a frame; `NO_WORD` counts as a word of all features.
+        One word for each frame; `NO_WORD` is treated as a word with all features on.
     usual : float64 array (K, f)
-        The usual postures, see `background`.
+        The postures, see `background`.
     smoothing : float
-        Shares of postures lie between this and 1 − this.
+        Probabilities of postures are limited to the range from `smoothing` to 1 − `smoothing`.
 
     Returns
     -------
@@ -100,7 +100,7 @@ def _scores(on: F64, postures: F64) -> F64:
 
 
 def _belongings(on: F64, counts: I64, postures: F64) -> F64:
-    """Return how many frames of each word belong to each posture, (V, K), by the posterior of the mixture."""
+    """Return the expected number of frames of each word in each posture, (V, K), by the posterior of the mixture."""
     scores = _scores(on, np.clip(postures, _MIN_PROBABILITY, 1.0 - _MIN_PROBABILITY))
     shares = np.exp(scores - scores.max(axis=1, keepdims=True))
     result: F64 = shares / shares.sum(axis=1, keepdims=True) * counts[:, None]
@@ -108,7 +108,7 @@ def _belongings(on: F64, counts: I64, postures: F64) -> F64:
 
 
 def _split(on: F64, counts: I64, postures: F64) -> F64:
-    """Divide every posture into two, one standard deviation to either side along the first principal component."""
+    """Divide each posture into two, displaced by ± a standard deviation along the first principal component."""
     halves = []
     for belongs in _belongings(on, counts, postures).T:
         total = max(float(belongs.sum()), 1e-12)

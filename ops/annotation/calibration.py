@@ -11,22 +11,23 @@ from kinedex.ops.errors import ParameterError
 def best_threshold(own: F64, others: F64) -> tuple[float, float]:
     """Return the threshold τ with the greatest F-measure, and that F-measure.
 
-    Clips of a distance below τ are assigned to the class. F = 2 TP / (2 TP + FP + FN), TP the clips of the class below
-    τ, FP the others below it, FN = those of the class that are not. Every τ between two distances gives the same F, so
-    their midpoint is used; of several intervals with the greatest F, the widest is chosen, then the lowest. The
-    interval above the greatest distance counts as width 0, and its τ is 1.5 times that distance.
+    Clips with a distance below τ are assigned to the class. F = 2 TP / (2 TP + FP + FN), where TP counts the clips of
+    the class below τ, FP the other clips below τ, and FN the clips of the class not below τ. Every τ between two
+    successive distances gives the same F, so τ is the midpoint of such an interval. Of several intervals with the
+    greatest F, the widest is chosen, and of equally wide ones the lowest. The interval above the greatest distance has
+    width 0 in this comparison, and its τ is 1.5 times that distance.
 
     Parameters
     ----------
     own : float64 array (A,)
-        The smallest distance in each clip of the class, ∞ where no path fits.
+        The smallest distance in each clip of the class; ∞ if no path fits into the clip.
     others : float64 array (B,)
         The smallest distance in each clip of other classes.
 
     Returns
     -------
     (float, float)
-        τ and F.
+        The threshold τ, and its F-measure.
 
     Raises
     ------
@@ -43,7 +44,7 @@ def best_threshold(own: F64, others: F64) -> tuple[float, float]:
 
 
 def threshold_scores(own: F64, others: F64) -> tuple[F64, F64]:
-    """Return the F-measure for every threshold, as a step function that changes at the distances of clips.
+    """Return the F-measure as a function of the threshold, a step function that changes at the distances of clips.
 
     Parameters
     ----------
@@ -55,7 +56,7 @@ def threshold_scores(own: F64, others: F64) -> tuple[F64, F64]:
     distances : float64 array (D,)
         The different distances of all clips, ascending.
     scores : float64 array (D,)
-        F of a τ above the distance and not above the next one.
+        The F-measure of a τ above this distance and not above the next distance.
 
     Raises
     ------

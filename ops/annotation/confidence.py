@@ -1,10 +1,10 @@
-"""Confidence is the probability that a segment's label is right, learned from segments whose labels were checked.
+"""This module learns the confidence of segments, which is the probability that a segment's label is right.
 
-The model is a logistic regression on a few numbers of each segment (its evidence), with an offset for each class. Few
-checked segments exist, so coefficients are uncertain: they have a normal prior, and their uncertainty (Laplace's
-approximation of the posterior) draws a confidence towards one half. (MacKay, The Evidence Framework Applied to
-Classification Networks, 1992; Platt, Probabilistic Outputs for Support Vector Machines, 1999, is the case of one number
-and no prior.)
+It learns from segments whose labels were checked. The model is a logistic regression on a few numbers of each segment
+(the evidence), with an offset for each class. Since few segments have been checked, the coefficients are uncertain.
+They have a normal prior, and their uncertainty, by Laplace's approximation of the posterior, moves confidences towards
+one half (MacKay, The Evidence Framework Applied to Classification Networks, 1992). With a single number and without a
+prior, the method is that of Platt, Probabilistic Outputs for Support Vector Machines, 1999.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ class Prior:
     evidence : tuple of str, length E
         The names of the numbers (see `ops.annotation.evidence`).
     centres, scales : tuple of float, length E
-        The mean and the standard deviation of each, by which they are normalised.
+        The mean and the standard deviation of each number, by which it is normalised.
     offset : float
         The expected log odds of a segment of mean evidence.
     slopes : tuple of float, length E
@@ -83,7 +83,7 @@ class Confidence:
     coefficients : float64 array (1 + E + P,)
         The offset, the slopes, and the offset of each of P classes.
     covariance : float64 array (1 + E + P, 1 + E + P)
-        Their uncertainty.
+        The covariance of the coefficients.
     """
 
     prior: Prior
@@ -103,7 +103,7 @@ class Confidence:
         Returns
         -------
         float64 array (S,)
-            Each above 0 and below 1.
+            The probabilities, above 0 and below 1.
         """
         rows = _design(self.prior, evidence, classes, len(self.coefficients) - 1 - len(self.prior.evidence))
         variance = ((rows @ self.covariance) * rows).sum(axis=1)
@@ -113,8 +113,8 @@ class Confidence:
 def learn_confidence(prior: Prior, evidence: F64, classes: I64, right: Bool, class_count: int) -> Confidence:
     """Learn the confidence model from segments whose labels were checked.
 
-    The coefficients maximise Σ log P(right | evidence) plus the logarithm of the prior; with no segment they are those
-    of the prior.
+    The coefficients maximise Σ log P(right | evidence) plus the logarithm of the prior. Without any segment, the result
+    has the coefficients of the prior.
 
     Parameters
     ----------
@@ -125,14 +125,14 @@ def learn_confidence(prior: Prior, evidence: F64, classes: I64, right: Bool, cla
     classes : int64 array (S,)
         The classes of the segments, 0 … P − 1.
     right : bool array (S,)
-        True where the label is right.
+        True if the label of a segment is right.
     class_count : int
         The number of classes P.
 
     Raises
     ------
     ParameterError
-        If the arrays do not fit together, or a class is not among P.
+        If the shapes of the arrays do not agree, or a class is not in 0 … P − 1.
     """
     if not len(evidence) == len(classes) == len(right):
         raise ParameterError("right", f"one value for each of {len(evidence)} segments", len(right))
@@ -165,7 +165,7 @@ def learn_confidence(prior: Prior, evidence: F64, classes: I64, right: Bool, cla
 
 
 def _design(prior: Prior, evidence: F64, classes: I64, class_count: int) -> F64:
-    """Return a row (1, normalised evidence, one-hot class) of each segment."""
+    """Return the design matrix, with a row (1, normalised evidence, one-hot class) for each segment."""
     normalised = (evidence - np.array(prior.centres)) / np.array(prior.scales)
     return np.concatenate([np.ones((len(classes), 1)), normalised, np.eye(class_count)[classes]], axis=1)
 

@@ -1,10 +1,10 @@
-"""Decoding finds the sequence of motion templates that explains a take best, one label a frame, by dynamic programming.
+"""Decoding finds the sequence of motion templates that best explains all frames of a take, by dynamic programming.
 
-Where the thesis labels every frame by the nearest template on its own (Chapter 5), this finds the sequence of
-templates, with background in between, that explains all frames best together. A frame that belongs to a template's
-column has the likelihood of that column's feature values; in the background it has the likelihood of its word in the
-background postures (`ops.annotation.background`). The value of an explanation is the sum of the log ratios of the two,
-and the explanation of the greatest value is found exactly.
+The thesis labels each frame independently, with the nearest template (Chapter 5). Decoding instead finds an
+explanation: a sequence of templates, with background in between. A frame that is assigned to a column of a template has
+the likelihood of its word under that column's feature values; a background frame has the likelihood of its word under
+the background postures (`ops.annotation.background`). The value of an explanation is the sum of the log ratios of these
+two likelihoods over the labelled frames, less costs. The explanation with the greatest value is found exactly.
 """
 
 from __future__ import annotations
@@ -44,17 +44,16 @@ class Decoding:
     Parameters
     ----------
     smoothing : float
-        Likelihoods are limited to the range from this to 1 − this.
+        Likelihoods are limited to the range from `smoothing` to 1 − `smoothing`.
     entry : float
         The cost of each segment, which suppresses short segments.
     skip : float
-        The cost of each column that is skipped (two may be skipped at once), so that fast performances are possible at
-        a cost.
+        The cost of each skipped column (at most two successive columns may be skipped), which allows fast performances.
     stay : float
-        The cost of a frame in which a segment stays in its first or its last column, so that segments are not extended
-        without need.
+        The cost of a frame in which a segment stays in its first or its last column, which keeps segments short.
     gain : float
-        Added to every labelled frame. A greater one labels more, a lower one (below 0) leaves more to the background.
+        A constant that is added to the value of every labelled frame. With a greater gain, more frames are labelled;
+        with a lower one, which may be negative, more frames are background.
     """
 
     smoothing: float = 0.03
@@ -89,7 +88,7 @@ class ExplainedSegment:
     template : int
         The index of the template.
     value : float
-        The value that the segment adds to the explanation, after subtraction of the entry cost.
+        The value that the segment contributes to the explanation, after subtraction of all costs.
     """
 
     start: int
@@ -110,12 +109,12 @@ def _linear(templates: Sequence[Template], usual: F64, decoding: Decoding) -> tu
 
 
 def _offsets(words: U64, usual: F64, decoding: Decoding) -> F64:
-    """Return −log P(word | background) / f of each frame."""
+    """Return −log P(word | background) / f for each frame."""
     return -log_likelihoods(words, usual, decoding.smoothing) / usual.shape[1]
 
 
 def frames_of(words: U64 | Frames, usual: F64, decoding: Decoding) -> Frames:
-    """Return the frames of a take in the form that kernels take; reuse them for several calls on one take."""
+    """Return the frames of a take in the form that kernels expect; reuse the result for several calls on one take."""
     if isinstance(words, Frames):
         return words
     vocabulary, codes = np.unique(words, return_inverse=True)
@@ -123,7 +122,7 @@ def frames_of(words: U64 | Frames, usual: F64, decoding: Decoding) -> Frames:
 
 
 def concatenated_columns(templates: Sequence[Template], usual: F64, decoding: Decoding) -> Columns:
-    """Concatenate the columns of all templates for `explain` and `margins`; reuse them for many takes.
+    """Concatenate the columns of all templates for `explain` and `margins`; reuse the result for many takes.
 
     Parameters
     ----------
@@ -156,9 +155,10 @@ def explain(
 ) -> list[ExplainedSegment]:
     """Find the explanation of a take with the greatest value.
 
-    A segment begins in a template's first column and ends in its last. From frame to frame it stays there (in the
-    first and in the last column only), advances by one column, or by two or three (each column skipped costs `skip`);
-    or a column lasts two or three frames. Segments do not overlap; frames between them are background, of value 0.
+    A segment begins in a template's first column and ends in its last. From one frame to the next it may advance by
+    one, two or three columns, where each skipped column costs `skip`. A column may also last for two or three frames,
+    and the first and the last column for any number of frames. Segments do not overlap. The frames between them are
+    background and have the value 0.
 
     Parameters
     ----------
@@ -171,20 +171,21 @@ def explain(
     decoding : Decoding
         The parameters of decoding.
     ranges : sequence of int64 array (R, 2), optional
-        For each template the half-open ranges that it may explain, ascending and disjoint; None: all frames.
+        For each template the half-open ranges that it may explain, ascending and disjoint; None for all frames.
     columns : Columns, optional
-        The result of `concatenated_columns` for the same templates, to reuse it.
+        The result of `concatenated_columns` for the same templates; computed if it is not given.
     promising : int64 array (R, 3), optional
-        The result of `ops.annotation.promising_ranges` for the same arguments: the same explanation is found faster.
+        The result of `ops.annotation.promising_ranges` for the same arguments, with which the same explanation is found
+        faster.
     loose : int64 array (R, 3), optional
-        The result of `ops.annotation.promising_ranges.loose_ranges`: without `ranges`, the same explanation is found
-        faster, and its values are the same to the last bit.
+        The result of `ops.annotation.promising_ranges.loose_ranges`, which is used only without `ranges`. With it, the
+        same explanation is found faster, and its values are the same to the last bit.
 
     Returns
     -------
-    list of Explained
-        The segments in order. An explanation without labels has the value 0; of templates that fit equally the first is
-        chosen.
+    list of ExplainedSegment
+        The segments in order of time; none if no explanation has a value above 0. Of templates that fit equally well,
+        the first is chosen.
 
     Raises
     ------
@@ -220,7 +221,7 @@ def margins(
     columns: Columns | None = None,
     promising: I64 | None = None,
 ) -> F64:
-    """Return for each segment a margin over the other classes and the background.
+    """Return for each segment a margin, which compares it with the other classes and with the background.
 
     Parameters
     ----------
@@ -230,7 +231,7 @@ def margins(
     Returns
     -------
     float64 array (S,)
-        From 0 to 1: `exclusive_shares` times 1 − exp(−v / `STANDING_OUT`), v being the value of a segment per frame.
+        Margins from 0 to 1: `exclusive_shares` times 1 − exp(−v / `STANDING_OUT`), where v is the value per frame.
     """
     a_frame = np.array([one.value / (one.stop - one.start) for one in found])
     alone = exclusive_shares(found, templates, classes, usual, words, decoding, columns, promising)
@@ -247,7 +248,7 @@ def exclusive_shares(
     columns: Columns | None = None,
     promising: I64 | None = None,
 ) -> F64:
-    """Return for each segment the fraction of its value that other classes cannot reach.
+    """Return for each segment the fraction of its value that other classes cannot attain in the same frames.
 
     Parameters
     ----------
@@ -271,9 +272,9 @@ def exclusive_shares(
     Returns
     -------
     float64 array (S,)
-        From 0 (the frames are explained as well without the class) to 1 (nothing else explains them better than the
-        background): 1 − rival / value, rival being the greatest value that the templates of other classes reach on the
-        same frames.
+        1 − rival / value, from 0 to 1, where rival is the greatest value that templates of other classes attain in the
+        same frames. It is 0 if other classes explain the frames as well, and 1 if no other class explains the frames
+        better than the background.
     """
     if not found:
         return np.empty(0)
@@ -298,9 +299,9 @@ def _overlap(promising: I64, starts: I64, stops: I64, templates: int) -> Bool:
 
 
 def _allowed_and_promising(allowed: Bool, changes: I64, promising: I64) -> tuple[Bool, I64]:
-    """Return the result of `_allowed`, restricted to the blocks in which templates are promising.
+    """Restrict the result of `_allowed` to the blocks of frames that contain promising ranges of a template.
 
-    Ranges are rounded to blocks, as starting and ending a template takes longer than computing a few more frames of it.
+    Ranges are widened to blocks, because a change of the active templates takes longer than a few more frames.
     """
     blocks = np.zeros((len(allowed), -(-int(changes[-1]) // BLOCK_FRAMES) + 1), np.int64)
     np.add.at(blocks, (promising[:, 0], promising[:, 1] // BLOCK_FRAMES), 1)
@@ -314,9 +315,9 @@ def _allowed_and_promising(allowed: Bool, changes: I64, promising: I64) -> tuple
 
 
 def _allowed(ranges: Sequence[I64] | None, templates: int, frames: int) -> tuple[Bool, I64]:
-    """Return the frames in which each template may occur, and the frames at which that set changes.
+    """Return the frames in which each template may occur, and the frames at which the set of these templates changes.
 
-    The first is bool (T, L), or (T, 0) where all may be everywhere; the second ascends from 0 to L.
+    The first array is bool (T, L), or (T, 0) if all templates may occur everywhere; the second ascends from 0 to L.
     """
     if ranges is None:
         return np.ones((templates, 0), bool), np.array([0, frames])
@@ -334,17 +335,17 @@ def _allowed(ranges: Sequence[I64] | None, templates: int, frames: int) -> tuple
 def least_costs(
     templates: Sequence[QuantisedTemplate], words: U64, ranges: Sequence[I64], chosen: I64, starts: I64, stops: I64
 ) -> F64:
-    """Return the smallest distance of the template's paths that end in each segment.
+    """Return for each segment the smallest distance of its template over all paths that end in the segment.
 
-    No path to a template of N columns is longer than 2 N − 1 frames, so the curve is only computed for each segment and
-    the 2 N − 1 frames before it.
+    A path to a template of N columns has at most 2 N − 1 frames. Therefore the distance curve is only computed for the
+    segment and the 2 N − 1 frames before it.
 
     Parameters
     ----------
     templates : sequence of QuantisedTemplate
         T templates.
     words : uint64 array (L,)
-        One word a frame; `NO_WORD` where the frame is invalid.
+        One word for each frame; `NO_WORD` if the frame is invalid.
     ranges : sequence of int64 array (R, 2)
         For each template the half-open ranges in which it is matched, ascending and disjoint.
     chosen : int64 array (S,)
@@ -355,7 +356,7 @@ def least_costs(
     Returns
     -------
     float64 array (S,)
-        ∞ where no path ends.
+        The distances; ∞ if no path ends in the segment.
     """
     costs = np.full(len(chosen), np.inf)
     for index in np.unique(chosen).tolist():

@@ -1,4 +1,4 @@
-"""This module computes evidence: features of an annotated segment by which right and wrong labels differ."""
+"""This module computes evidence: numbers of an annotated segment that help to distinguish right from wrong labels."""
 
 from __future__ import annotations
 
@@ -30,15 +30,16 @@ def evidence_of(
     Parameters
     ----------
     names : sequence of str, length E
-        The numbers: "lead", the root of the value per frame that only the segment's class can give; "margin"; "cost",
-        its root; "pace", the logarithm of the length over that of the template; "haste", its magnitude; "fixed", the
-        share of entries that the template fixes; "support", how much more the frames support this label than the best
-        of the other labels that most of them have, in √frames; "others", log(1 + n), n being the number of other labels
-        of a frame on average; "covered", the fraction of the take's frames that have a label.
+        The names of the numbers to compute: "lead" is the square root of the value per frame that only the segment's
+        class can attain; "margin" is the segment's margin; "cost" is the square root of its cost; "pace" is the
+        logarithm of the ratio of the segment's length to the template's, and "haste" its absolute value; "fixed" is the
+        fraction of entries that the template fixes; "support" is the advantage of this label over the best other label
+        that covers most of the segment's frames, in √frames; "others" is log(1 + n), where n is the mean number of
+        other labels per frame; "covered" is the fraction of the take's frames that have a label.
     found : sequence of sequence of Segment, length T
         The segments of each take in the order of their starts, in frames of the take.
     offsets : int64 array (T + 1,)
-        The first frame of each take where all are laid end to end, and the end.
+        The first frame of each take in the concatenation of all takes, and the end.
     columns : sequence of int
         The number of columns of each template.
     fixed : sequence of float
@@ -74,7 +75,7 @@ class _Evidence:
 
     @cached_property
     def spans(self) -> I64:
-        """Return starts and stops, int64 (2, S), in frames of all takes laid end to end."""
+        """Return starts and stops, int64 (2, S), in frames of the concatenated takes."""
         spans = np.array([(one.start, one.stop) for one in self.segments], np.int64).T
         return spans + self.offsets[:-1][self.takes]
 
@@ -145,10 +146,10 @@ _NUMBERS: dict[str, Callable[[_Evidence], F64]] = {
 
 @nb.njit(cache=True, nogil=True)
 def _strongest_rivals(starts: I64, stops: I64, takes: I64, classes: I64, strengths: F64) -> F64:
-    """Return the greatest strength among segments of other classes that cover most of the segment's frames.
+    """Return for each segment the greatest strength of other classes' segments that cover most of its frames.
 
-    It is the segment's own strength where there is no such segment.
-    Segments are in order of take and start, in frames of all takes laid end to end.
+    If there is no such segment, the result is the strength of the segment itself. Segments must be in order of take and
+    start, in frames of the concatenated takes.
     """
     longest = np.max(stops - starts)
     result = strengths.copy()

@@ -1,12 +1,12 @@
-"""This module finds the frames in which a template could label anything; elsewhere decoding can skip it.
+"""This module finds the promising ranges of a template, outside of which decoding can skip the template.
 
-The value of the explanation of a take's first frames never falls from frame to frame, so a segment is part of one only
-if the value that it adds is above 0 (`ops.annotation.decoding`). The value that a template can add depends only on the
-template and the words, not on other templates, so its promising ranges are computed once and stay valid when other
-templates are learned.
+A promising range contains the frames in which the template could have a segment in the best explanation of a take
+(`ops.annotation.decoding`). The best value of the first n frames never decreases with n, so every segment of the best
+explanation has a value above 0. The value of a segment depends only on its template and the words, so promising ranges
+are computed once for each template, and remain valid when other templates are learned.
 
-Every template is first compared with all frames in single precision, with a slack for rounding. Where it could add
-something, it is compared once more in double precision, with the frame in which each path begins.
+Every template is first compared with all frames in single precision, with a tolerance for rounding. Where a positive
+value is possible, the comparison is repeated in double precision, together with the first frame of each path.
 """
 
 from __future__ import annotations
@@ -43,9 +43,9 @@ class Group:
     Attributes
     ----------
     first : int
-        The place of the first of them.
+        The index of the group's first template.
     columns : Columns
-        Their columns.
+        The concatenated columns of its templates.
     slopes : float32 array (f, C)
         `columns.slopes` in single precision.
     intercepts : float32 array (C,)
@@ -105,10 +105,10 @@ def promising_ranges(groups: Sequence[Group], usual: F64, words: U64, decoding: 
     Returns
     -------
     int64 array (R, 3)
-        Template, start and stop of each range, by template and start; ranges of a template are disjoint. An explanation
-        whose templates are restricted to them has the same value as one without restrictions. (Of two paths of a
-        template that end together, the one that begins later has no lower value before it: if it is also the greater
-        one, the other is never needed. So the path of the greatest value gives the range.)
+        Template, start and stop of each range, by template and start; ranges of a template are disjoint. The best
+        explanation within these ranges has the same value as without restriction. (Among paths of a template that end
+        in the same frame, a later beginning leaves at least as good an explanation of the frames before it. A path with
+        a lower value that begins earlier is thus never needed, and the path of the greatest value gives the range.)
     """
     found = [np.empty((0, 3), np.int64)]
     if len(words):
@@ -137,8 +137,8 @@ def loose_ranges(groups: Sequence[Group], frames: Frames, decoding: Decoding) ->
     Returns
     -------
     int64 array (R, 3)
-        As in `promising_ranges`, but wider, since they are computed in single precision alone, which is faster. The
-        explanation within them is bit for bit that of the unrestricted take.
+        Ranges as in `promising_ranges`, but wider, because they are computed faster, in single precision only. The
+        explanation within these ranges is bit for bit the same as without restriction.
     """
     found = [np.empty((0, 3), np.int64)]
     offsets = frames.offsets.astype(np.float32)
@@ -320,8 +320,8 @@ def _reach(
 ) -> int:
     """Return a lower bound of the first frames of all paths that end at a given frame or later.
 
-    Between the first and the last column a path takes three frames a column at most; it is followed for as long as it
-    may stay in the last one, and then for as long as it may stay in the first one.
+    The bound is found by going back in time: through the frames in which a path may stay in the last column, then three
+    frames for each column between, then through the frames in which the path may stay in the first column.
     """
     column = columns.firsts[template] + columns.lengths[template] - 1
     frame = end

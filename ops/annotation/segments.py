@@ -36,9 +36,10 @@ class Segment:
     subclass : int
         The index of the curve that attains it.
     margin : float
-        From 0 (something else explains the frames as well) to 1 (nothing else comes near).
+        A number from 0 (another class or the background explains the frames as well) to 1 (no other explanation comes
+        near).
     value : float
-        The value that the frames add to an explanation of the take, where the method has one; NaN otherwise.
+        The value of the segment in an explanation of the take (`ops.annotation.decoding`); NaN for other methods.
     """
 
     start: int
@@ -89,13 +90,13 @@ class Matches:
 def local_minima(curve: F64, threshold: float) -> I64:
     """Return the frames where a distance curve has a local minimum below a threshold.
 
-    A minimum is finite and not above its neighbours, which are ∞ beyond the ends: all frames of a low plateau count.
-    Costs closer than 1e-9 are equal.
+    A minimum is finite and not above its neighbours; the curve is taken as ∞ beyond its ends. All frames of a plateau
+    that is a minimum are returned. Costs that differ by less than 1e-9 are treated as equal.
 
     Parameters
     ----------
     curve : float64 array (L,)
-        Distances, ∞ where no path ends.
+        Distances; ∞ if no path ends in a frame.
     threshold : float
         τ > 0.
 
@@ -119,31 +120,30 @@ def local_minima(curve: F64, threshold: float) -> I64:
 
 
 def annotate(matches: Matches, classes: I64, offsets: I64, threshold: float | F64 = np.inf) -> list[list[Segment]]:
-    """Label every frame with the class that explains it best, and grow the labelled runs (thesis, Eq. 5.4 to 5.7).
+    """Label every frame with the class of the lowest distance, and extend the labelled runs (thesis, Eq. 5.4 to 5.7).
 
-    A template's modified curve is at most the cost of a minimum from the start to the end of its path (Eq. 5.4). A
-    class takes the least of its subclasses' modified curves (Eq. 5.5 and 5.6); ties go to the first class, and within
-    it to the first subclass. A run of a label (Eq. 5.7) grows to the left while the class's modified curve, read
-    leftwards, does not rise, and to the right likewise, never into ∞. Grown segments of one class that overlap or touch
-    are one.
+    A template's modified curve is, in each frame, the lowest cost of all minima whose paths contain the frame (Eq.
+    5.4). The modified curve of a class is the minimum over its subclasses (Eq. 5.5 and 5.6). In a tie, the first class
+    and the first subclass are chosen. A run of frames with one label (Eq. 5.7) is extended to the left and to the right
+    as long as the class's modified curve is finite and does not rise in that direction. Extended segments of one class
+    that overlap or touch are merged.
 
     Parameters
     ----------
     matches : Matches
-        The minima of each of S subclasses, in frames of takes laid end to end.
+        The minima of each of S subclasses, in frames of the concatenated takes.
     classes : int64 array (S,)
         The class of each subclass, 0 … P − 1.
     offsets : int64 array (T + 1,)
-        The first frame of each take, and the end. No path and no segment crosses the border of a take.
+        The first frame of each take, and the end. No path and no segment extends over two takes.
     threshold : float or float64 array (P,)
-        τ of all classes or of each, which the margin is measured against where no other class is nearer: 1 − cost /
-        rival, the rival being the mean over the segment's frames of the nearest other class's modified curve, or the
-        class's own τ where that is less.
+        The threshold τ of all classes or of each class, for the margins. A margin is 1 − cost / rival, where rival is
+        the mean over the segment's frames of the nearest other class's modified curve, limited to the class's τ.
 
     Returns
     -------
     list of list of Segment
-        For each take its segments in frames of the take, ordered by start, stop and class; those of different classes
+        The segments of each take in frames of the take, ordered by start, stop and class. Segments of different classes
         may overlap.
 
     Raises
@@ -184,14 +184,14 @@ def annotate(matches: Matches, classes: I64, offsets: I64, threshold: float | F6
 def class_curves(
     offsets: I64, starts: I64, ends: I64, costs: F64, members: I64, edges: I64, begins: Bool
 ) -> tuple[I64, F64]:
-    """Return the modified curves of classes where they are finite (kernel).
+    """Return the finite parts of the modified curves of classes (kernel).
 
     Parameters
     ----------
     offsets, starts, ends, costs
         See `Matches`.
     members : int64 array (S,)
-        The subclasses by class.
+        The indices of the subclasses, sorted by class.
     edges : int64 array (P + 1,)
         Class p has the subclasses members[edges[p]] to members[edges[p + 1] - 1].
     begins : bool array (L + 1,)
@@ -200,7 +200,7 @@ def class_curves(
     Returns
     -------
     islands : int64 array (I, 4)
-        The class, the half-open range of frames, and the place of the first value of each island, by class and frame.
+        The class, the half-open range of frames, and the index of the first value of each island, by class and frame.
     values : float64 array
         The values of all islands.
     """
@@ -245,7 +245,7 @@ def class_curves(
 def nearest_classes(islands: I64, values: F64, frames: int) -> tuple[I64, I64, F64, F64]:
     """Return each frame's label, nearest class, that class's cost and the next class's cost (kernel).
 
-    The label is −1 where there is none.
+    The label is −1 in frames without a label.
     """
     labels, nearest = np.full(frames, -1, np.int64), np.full(frames, -1, np.int64)
     least, second = np.full(frames, np.inf), np.full(frames, np.inf)
@@ -280,9 +280,9 @@ def grow_runs(
     places : int64 array (R, 4)
         The class, the half-open range of frames, and the first frame of the lowest cost of each segment.
     costs : float64 array (R,)
-        That cost.
+        The lowest cost of each segment.
     margins : float64 array (R,)
-        From 0 to 1: 1 − the cost divided by the mean cost of the nearest other class in the segment, at most τ.
+        Margins from 0 to 1: 1 − cost / rival, where rival is the mean cost of the nearest other class, at most τ.
     """
     positions, found = np.empty((256, 4), np.int64), 0
     for island in range(len(islands)):
@@ -298,7 +298,7 @@ def grow_runs(
             while right < stop and labels[right] == p:
                 right += 1
             frame = right
-            # A segment that grows into the one before it has the same end, or one further right.
+            # A segment that grows into the previous segment ends where that segment ends, or later.
             wall = positions[found - 1, 2] if found > before else begin
             while left > wall and not curve[left - 1 - begin] > curve[left - begin] + TOLERANCE:
                 left -= 1

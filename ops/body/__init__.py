@@ -1,1 +1,1 @@
-"""This package computes on bodies: kinematics, filling of gaps, resampling, and features of joint positions."""
+"""This package computes with bodies: kinematics, filling of gaps, resampling, and features of joint positions."""

@@ -16,7 +16,8 @@ _BLOCK_FRAMES = 4096  # frames at a time, so that the matrices take a few megaby
 def matrices(vectors: F64) -> F64:
     """Return the rotation matrices (T, 3, 3) of rotation vectors (T, 3) in radians.
 
-    Rodrigues' formula: R = I + (sin θ / θ) K + ((1 − cos θ) / θ²) K², with K the cross product by the vector.
+    Rodrigues' formula is R = I + (sin θ / θ) K + ((1 − cos θ) / θ²) K², where θ is the vector's length and K the matrix
+    of the cross product with the vector.
     """
     angle = np.sqrt(np.einsum("ta,ta->t", vectors, vectors))
     # 1 − cos θ as 2 sin² (θ/2), which keeps its digits where θ is small; sinc is sin(πx)/(πx), and 1 at 0.
@@ -42,15 +43,16 @@ def vectors(turned: F64) -> F64:
 def forward(rest: F64, parents: Sequence[int], rotations: F64, places: F64) -> tuple[F64, F64]:
     """Compute the joint positions of a body from the rotation of each joint relative to its parent.
 
-    The skeleton of SMPL (Loper et al. 2015, Eq. 4): a joint's offset from its parent in the rest pose is rotated by the
-    rotations of all its ancestors.
+    This is the skeleton of SMPL (Loper et al. 2015, Eq. 4): the offset of a joint from its parent in the rest pose is
+    rotated by the rotations of all the joint's ancestors.
 
     Parameters
     ----------
     rest : float64 array (J, 3)
         The joints in the rest pose.
     parents : sequence of int
-        The index of each joint's parent, smaller than its own; −1 for the first, the root.
+        The index of each joint's parent, which must be smaller than the joint's index; −1 for the first joint, the
+        root.
     rotations : float64 array (T, J, 3)
         Rotation vectors in radians.
     places : float64 array (T, 3)
@@ -64,7 +66,7 @@ def forward(rest: F64, parents: Sequence[int], rotations: F64, places: F64) -> t
     Raises
     ------
     ParameterError
-        If shapes do not agree, or a parent does not come before its child.
+        If the shapes do not agree, or a parent does not come before its child.
     """
     joints, frames = len(rest), len(rotations)
     if rest.shape != (joints, 3) or rotations.shape != (frames, joints, 3) or places.shape != (frames, 3):

@@ -14,14 +14,14 @@ from kinedex.ops.errors import ParameterError
 
 @dataclass(frozen=True)
 class Capsule:
-    """All points within a radius of the line between two joints.
+    """All points within a radius of the line segment between two joints.
 
     Attributes
     ----------
     start, end : int
         The joints of the chain at the ends of its axis.
     radius : float
-        Radius in metres, for a body of the height that the surface is given for.
+        Radius in metres for a body of the surface's reference height.
     """
 
     start: int
@@ -38,11 +38,11 @@ class Surface:
     capsules : tuple of Capsule
         The capsules.
     low : tuple of int
-        Joints whose mean height at rest is the lower end of the body's height: the ankles.
+        Joints whose mean height at rest is the lower end of the body's height, usually the ankles.
     high : int
-        Joint at its upper end: the top of the head.
+        Joint at the upper end of the body's height, usually the top of the head.
     height_m : float
-        Height in metres of the body that has these radii.
+        Reference height in metres, at which the radii hold.
 
     Raises
     ------
@@ -88,12 +88,12 @@ def body_capsules(body: ChainBody, surface: Surface, thickness: float = 1.0) -> 
     surface : Surface
         The capsules of its chain.
     thickness : float, optional
-        A factor of all radii: 1.04 for a surface that is 4 % too thick.
+        A factor by which all radii are multiplied: 1.04 gives a surface that is 4 % too thick.
 
     Returns
     -------
     Capsules
-        Their joints and radii.
+        The joints and radii of the capsules.
 
     Raises
     ------

@@ -34,26 +34,27 @@ def matrices_of(angles: F64, order: str) -> F64:
 
 
 def euler_angles(matrices: F64, order: str, near: F64 | None = None) -> F64:
-    """Return Euler angles of rotations, in each frame the solution nearest to given angles or to the frame before.
+    """Return Euler angles of rotations; of the solutions in a frame, choose the nearest to given or previous angles.
 
     Parameters
     ----------
     matrices : float64 array (T, 3, 3)
         Rotations.
     order : str
-        A permutation of XYZ; the matrix of the first axis stands leftmost.
+        A permutation of XYZ; the matrix of the first axis is leftmost in the product.
     near : float64 array (T, 3), optional
-        Angles that those of each frame are to be near to; by default those of the frame before, and 0 in the first.
+        Angles that the solution in each frame should be nearest to. The default is the solution of the previous frame,
+        and 0 in the first frame.
 
     Returns
     -------
     float64 array (T, 3)
-        Radians, in the order of the axes; unwrapped, so that they may exceed a full turn.
+        Radians, in the order of the axes; the angles are unwrapped and may exceed 2π.
 
     Raises
     ------
     ParameterError
-        The order is no permutation of XYZ.
+        The order is not a permutation of XYZ.
     """
     if sorted(order) != ["X", "Y", "Z"]:
         raise ParameterError("order", "a permutation of XYZ", order)
@@ -67,7 +68,7 @@ def euler_angles(matrices: F64, order: str, near: F64 | None = None) -> F64:
 
 @njit(cache=True, nogil=True)
 def _angles(matrices: F64, i: int, j: int, k: int, sign: float, given: F64, out: F64) -> None:
-    """Decompose into Euler angles with the middle angle within ±π/2, or the other solution where that is nearer."""
+    """Write the Euler angles with the middle angle within ±π/2, or the other solution if that is nearer, to `out`."""
     turn = 2.0 * np.pi
     near = np.zeros(3)
     found, other = np.empty(3), np.empty(3)

@@ -1,7 +1,7 @@
 """This module finds the direction that a body faces on the ground, and moves motions to the origin, facing +Z.
 
-Positions are in metres with Y up; the left of a body that faces +Z points to +X. It also mirrors motions across the
-plane x = 0, with left and right exchanged.
+It also mirrors motions across the plane x = 0, with left and right exchanged. Positions are in metres with Y up. The
+left side of a body that faces +Z points to +X.
 """
 
 from __future__ import annotations
@@ -32,12 +32,13 @@ def facing_yaw(left: F64, right: F64) -> F64:
     Parameters
     ----------
     left, right : float64 array (…, P, 3)
-        Places of P pairs of joints, such as the hips and the shoulders; NaN where a joint is not known.
+        Positions of P pairs of joints, such as the hips and the shoulders; NaN if a joint is not known.
 
     Returns
     -------
     float64 array (…)
-        Radians, from −π to π: a body with yaw π/2 faces +X. NaN where no pair is known, or where all are upright.
+        Yaw in radians, from −π to π; with yaw π/2, a body faces +X. NaN if no pair is known, or if the lines between
+        the joints of all pairs are vertical.
     """
     across = left - right
     whole = np.isfinite(across).all(axis=-1, keepdims=True)
@@ -51,7 +52,7 @@ def turn_about_y(positions: F64, yaw: float) -> F64:
     Parameters
     ----------
     positions : float64 array (…, 3)
-        Places or directions.
+        Positions or directions.
     yaw : float
         Radians.
     """
@@ -61,14 +62,14 @@ def turn_about_y(positions: F64, yaw: float) -> F64:
 
 
 def start_at_origin(positions: F64, placement: Placement) -> F64:
-    """Move and rotate positions so that a body with this placement stands at the origin facing +Z; heights stay.
+    """Move and rotate positions so that a body with a placement stands at the origin, facing +Z; keep heights.
 
     Parameters
     ----------
     positions : float64 array (…, 3)
         Metres, Y up.
     placement : Placement
-        The body's place on the ground before.
+        The body's placement before this transformation.
     """
     return turn_about_y(positions - np.array([placement.x, 0.0, placement.z]), -placement.yaw)
 
@@ -86,14 +87,14 @@ def placement_of(root: F64, left: F64, right: F64) -> Placement:
     Parameters
     ----------
     root : float64 array (3,)
-        The root's place.
+        The root's position.
     left, right : float64 array (P, 3)
-        Places of pairs of joints, such as the hips and the shoulders; NaN where a joint is not known.
+        Positions of P pairs of joints, such as the hips and the shoulders; NaN if a joint is not known.
 
     Raises
     ------
     ParameterError
-        The root is not known, or no pair is.
+        The root is not known, or no pair of joints is known.
     """
     yaw = float(facing_yaw(left, right))
     if not (np.isfinite(root).all() and math.isfinite(yaw)):
@@ -102,9 +103,9 @@ def placement_of(root: F64, left: F64, right: F64) -> Placement:
 
 
 def mirrored_names(names: Sequence[str]) -> list[str]:
-    """Return for each named joint the name of its mirror image: lhip for rhip, root for root.
+    """Return for each joint the name of its mirror image, such as lhip for rhip, or its own name if it has none.
 
-    A name that begins with l or r has a mirror image where the other one is among the names, too.
+    A name that begins with l or r has a mirror image if the name with the other letter is also in the list.
     """
     known = set(names)
     others = {name: {"l": "r", "r": "l"}.get(name[:1], "") + name[1:] for name in names}
@@ -117,14 +118,14 @@ def mirrored_positions(positions: F64, names: Sequence[str]) -> F64:
     Parameters
     ----------
     positions : float array (T, J, 3)
-        Places of joints; NaN where a joint is not known.
+        Positions of joints; NaN if a joint is not known.
     names : sequence of str
         The J joints; those that begin with l and r are pairs (`mirrored_names`).
 
     Returns
     -------
     float array (T, J, 3)
-        Joint by joint in the order of the names. Mirroring twice restores the positions exactly.
+        Positions of the joints in the order of the names. Mirroring twice restores the positions exactly.
     """
     index = {name: j for j, name in enumerate(names)}
     order = np.array([index[name] for name in mirrored_names(names)], np.int64)
@@ -134,6 +135,6 @@ def mirrored_positions(positions: F64, names: Sequence[str]) -> F64:
 def mirrored_quaternions(rotations: F64) -> F64:
     """Return the orientations of mirror images, float array (…, 4) w, x, y, z.
 
-    They belong to a body whose own axes are mirrored, too: its left is +X as before.
+    The axes of the mirrored body are mirrored as well, so that its left is +X, as it was before.
     """
     return rotations * np.array([1, 1, -1, -1], rotations.dtype)

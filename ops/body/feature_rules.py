@@ -1,7 +1,7 @@
-"""Rules describe relational features: sums of geometric primitives, compared with a weak and a strong threshold.
+"""This module defines the rules of relational features, which compare sums of geometric primitives with thresholds.
 
-A rule only describes a feature; `ops.body.features` evaluates rules with compiled kernels, which need not be loaded to
-read a feature set.
+`ops.body.features` evaluates the rules. It is a separate module, so that a feature set can be read without loading
+compiled kernels.
 """
 
 from __future__ import annotations
@@ -12,7 +12,7 @@ from dataclasses import dataclass
 from kinedex.ops.arrays import F64
 
 ABOVE, AT_LEAST, BELOW, AT_MOST, WITHIN = range(5)
-"""The comparisons, numbered as kernels expect them."""
+"""The comparisons of a value with a threshold, by the numbers that kernels use for them."""
 
 COMPARISONS = {">": ABOVE, ">=": AT_LEAST, "<": BELOW, "<=": AT_MOST, "within": WITHIN}
 
@@ -30,7 +30,7 @@ JOINTS_OF = {
     "extent_xz": None,
     "turn_rate": 1,
 }
-"""The primitives by name, with the number of joints they take (None: any number, at least one)."""
+"""A dict from primitive to the number of its joints; None for any number from 1."""
 
 
 @dataclass(frozen=True)
@@ -40,10 +40,10 @@ class Primitive:
     Attributes
     ----------
     joints : int or None
-        The number of joints that it takes; None for any number, at least one.
+        The number of joints of the primitive; None for any number from 1.
     compute : callable
-        Returns the quantity in every frame, float64 (T,), from the trajectories of the joints, float64 (n, 3, T) in
-        metres, and the frames per second. A feature is off where it is NaN.
+        A function of the trajectories of the joints, float64 (n, 3, T) in metres, and the frames per second, which
+        returns the quantity in every frame, float64 (T,). A feature is off in frames in which the quantity is NaN.
     """
 
     joints: int | None
@@ -52,7 +52,7 @@ class Primitive:
 
 @dataclass(frozen=True)
 class Term:
-    """A geometric primitive over joints (by index), with its factor in a sum."""
+    """A summand of a rule: a geometric primitive of some joints, given by index, with a factor."""
 
     primitive: str
     joints: tuple[int, ...]
@@ -69,12 +69,12 @@ class Rule:
     Attributes
     ----------
     length : tuple[tuple[int, int], ...]
-        Pairs of joints whose distances in frame 0, added up, scale the thresholds; empty for plain numbers.
+        Pairs of joints. The sum of their distances in frame 0 scales the thresholds; empty for unscaled thresholds.
     weak, strong : tuple[float, float]
-        (low, high); one-sided comparisons use the first only.
+        The thresholds (low, high); one-sided comparisons use only the first.
     stand_ins : tuple of (float, tuple of (int, int))
-        Factors and pairs of joints: where a joint of `length` is unknown, the first sum of distances whose joints are
-        known, times its factor, stands for it.
+        Replacements for `length` if one of its joints is unknown, each a factor and pairs of joints. The first
+        replacement whose joints are all known is used: the sum of the distances times the factor.
     """
 
     terms: tuple[Term, ...]
@@ -86,12 +86,12 @@ class Rule:
 
     @property
     def length_joints(self) -> list[set[int]]:
-        """The joints of the length, and those of each stand-in; empty for plain numbers."""
+        """The sets of joints of the length and of each stand-in; empty for unscaled thresholds."""
         every = [self.length, *(pairs for _, pairs in self.stand_ins)] if self.length else []
         return [{joint for pair in pairs for joint in pair} for pairs in every]
 
     def joints(self, body: Iterable[int]) -> tuple[set[int], set[int]]:
-        """Return the joints that the terms name, and the joints of `body` over which their extremes are taken."""
+        """Return the joints that the terms name, and the joints of `body` over which they take a minimum or maximum."""
         fixed: set[int] = set()
         several: set[int] = set()
         for term in self.terms:

@@ -1,4 +1,4 @@
-"""Relational features turn joint trajectories into one word a frame by rules (thesis, 2.2)."""
+"""This module computes relational features, which rules derive from joint trajectories (thesis, Section 2.2)."""
 
 from __future__ import annotations
 
@@ -19,17 +19,17 @@ from kinedex.ops.words import MAX_FEATURES, NO_WORD
 Pairs = tuple[tuple[int, int], ...]
 
 BLOCK = 256
-"""Frames per block: the data between positions and words then stay in a core's cache."""
+"""Frames per block, chosen so that all intermediate data of a block fit into a core's cache."""
 
 KINDS = {name: kind for kind, name in enumerate(JOINTS_OF)}
 """The number of each primitive, by name."""
 
 GIVEN = len(KINDS)
-"""The number that stands for a primitive whose values are computed elsewhere and passed in."""
+"""The number of any primitive whose values are computed outside the kernel and passed to it."""
 
 PLANE, NPLANE, VPLANE, VNPLANE, SPEED, ANGLE, SEGMENTS, TILT, HEIGHT, EXTENT_Y, EXTENT_XZ, TURN_RATE = range(GIVEN)
 A, B, C, Q, FIRST, STOP, KIND, WINDOW, ABSOLUTE, COLUMNS = range(10)
-"""The columns of a term's row: four joints, its range of joints in the list of joints, and its properties."""
+"""The columns of the array of terms: four joints, a range in the list of joints, and further properties."""
 
 
 @lru_cache(maxsize=256)
@@ -48,19 +48,20 @@ def words(
 ) -> U64:
     """Compute the word of every frame.
 
-    Invalid frames divide the take into segments in which velocities and hysteresis are restarted. Limb lengths are
-    those of the first valid frame for the whole take; a length whose joints are unknown is taken from its stand-ins.
+    Invalid frames divide the take into segments, and velocities and hysteresis begin anew in each segment. Limb lengths
+    are measured in the first valid frame and used for the whole take. If the joints of a length are unknown, one of its
+    stand-ins is used.
 
     Parameters
     ----------
     positions : float64 array
-        float64 (J, 3, T) in metres, Y up; NaN where a joint is unknown.
+        Joint positions (J, 3, T) in metres, Y up; NaN if a joint is unknown.
     orientation : float64 array (4, T)
         The root's unit quaternion w, x, y, z.
     rate_hz : float
         Frames per second.
     rules : sequence of Rule
-        One per feature, the first is bit 0; at most 63.
+        One rule for each feature, that of bit 0 first; at most 63.
     valid : bool array (T,)
         The valid frames; None if all are valid.
     primitives : mapping of str to Primitive, optional
@@ -69,8 +70,8 @@ def words(
     Returns
     -------
     uint64 array (T,)
-        Bit i − 1 is F_i; `NO_WORD` in an invalid frame. A feature that meets a NaN, or a vector without length, is off
-        there.
+        The words: bit i − 1 is F_i; `NO_WORD` in an invalid frame. A feature is off in frames in which its value is NaN
+        or not defined because a vector has length 0.
 
     Raises
     ------
@@ -145,7 +146,7 @@ class _Plan:
     Attributes
     ----------
     given : list of Term
-        The terms whose values the kernel is given.
+        The terms whose values are computed outside the kernel.
     """
 
     def __init__(self, rules: Sequence[Rule], joints: int, rate_hz: float) -> None:
@@ -175,14 +176,14 @@ class _Plan:
         self._scale_of_rule = np.array([self._scales.index(scale) for scale in scales], np.int64)
 
     def scales(self, measured: F64) -> F64:
-        """Return the length that scales each rule's thresholds, (R, 1), from the joints of one frame, (J, 3)."""
+        """Return the lengths (R, 1) that scale the thresholds of the rules, measured in one frame (J, 3)."""
         lengths: dict[Pairs, float] = {}
         found = [_scale(scale, measured, lengths) for scale in self._scales]
         return np.array(found, np.float64)[self._scale_of_rule, None]
 
 
 def _scale(ways: Sequence[tuple[float, Pairs]], measured: F64, lengths: dict[Pairs, float]) -> float:
-    """Return a length, or the first of its stand-ins that is known; NaN if none is, and 1 for unscaled thresholds."""
+    """Return a length, or its first known stand-in; NaN if none is known, and 1 for unscaled thresholds."""
     for factor, pairs in ways:
         if pairs not in lengths:
             steps = (measured[a] - measured[b] for a, b in pairs)
@@ -241,15 +242,15 @@ def frame_words(
     rate_hz : float
         Frames per second.
     terms : int64 array (N, COLUMNS)
-        The terms of all rules, each once.
+        The different terms of all rules.
     factors : float64 array (N,)
-        Their factors.
+        The factors of the terms.
     lists : int64 array
-        The joints of terms of any number of them, and the terms of rules.
+        Lists of varying length, one after the other: the joints of terms, and the terms of rules.
     given : float64 array (G, T)
-        The values of terms that are no primitives of this module.
+        The values of terms that are computed outside the kernel.
     rules : int64 array (R, 3)
-        Where the terms of each rule begin and end in `lists`, and its comparison.
+        The range in `lists` with the terms of each rule, and the number of its comparison.
     thresholds : float64 array (R, 4)
         The low and high weak, and the low and high strong threshold of each rule.
     words : uint64 array (T,)

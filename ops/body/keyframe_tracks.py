@@ -1,6 +1,6 @@
-"""This module samples animation tracks at any times: steps, straight lines, slerp of quaternions, and cubic splines.
+"""This module samples animation tracks at given times, by constant, linear, spherical or cubic interpolation.
 
-Curves of one number have steps, straight lines and cubics between keys.
+A track has vectors or quaternions as values, as in glTF; a curve has single numbers, as in FBX.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from kinedex.ops.errors import ParameterError
 
 USUAL_RATES_HZ = (24.0, 25.0, 30.0, 48.0, 50.0, 60.0, 72.0, 75.0, 90.0, 100.0, 120.0, 144.0, 150.0, 180.0, 200.0,
                   240.0, 250.0, 300.0, 360.0, 400.0, 480.0, 500.0, 1000.0)  # fmt: skip
-"""Rates of cameras and capture systems, slowest first."""
+"""The usual frame rates of cameras and capture systems, ascending."""
 
 OFF_GRID = 0.02
 """Tolerance of a key's time as a fraction of a frame, for files that write times with few digits."""
@@ -31,24 +31,23 @@ OWN_SLOPES = 0x400
 
 
 def sample_track(times: F64, values: F64, at: F64, interpolation: str, turns: bool, late: float = 0.0) -> F64:
-    """Return the values of a track at some times; outside the keys, the first or last value is repeated.
+    """Return the values of a track at given times; before the first and after the last key the value is constant.
 
     Parameters
     ----------
     times : float64 array (K,)
         Seconds of the keys, ascending.
     values : float64 array (K, C) or (3 K, C)
-        Values of the keys; for "CUBICSPLINE" incoming tangent, value and outgoing tangent of each,
-        as glTF has them.
+        Values of the keys; for "CUBICSPLINE" the incoming tangent, value and outgoing tangent of each key, as in glTF.
     at : float64 array (T,)
         Seconds of the samples.
     interpolation : str
         "STEP", "LINEAR" or "CUBICSPLINE".
     turns : bool
-        True for unit quaternions, which are interpolated along arcs, and of which the result has length 1.
+        True for unit quaternions, which are interpolated along arcs; the results are unit quaternions.
     late : float
-        Tolerance in seconds: a step that comes this late after a sample still applies to it, as times may have few
-        digits.
+        Tolerance in seconds. A step that is at most this much later than a sample applies to the sample, since times in
+        files may be rounded.
 
     Returns
     -------
@@ -94,7 +93,7 @@ def _unit(quaternions: F64) -> F64:
 
 
 def likely_rate(times: F64) -> tuple[float, bool]:
-    """Return the frame rate that keys were probably made at: the slowest usual one whose frames hold all keys.
+    """Return the probable frame rate of keys, which is the lowest usual rate that has a frame at every key.
 
     Parameters
     ----------
@@ -104,7 +103,7 @@ def likely_rate(times: F64) -> tuple[float, bool]:
     Returns
     -------
     tuple[float, bool]
-        Frames per second, and True for a usual rate; otherwise the rate comes from the median step between keys.
+        Frames per second, and True for a usual rate. Otherwise the rate is computed from the median time between keys.
     """
     steps = np.diff(times)
     steps = steps[steps > 1e-5]
@@ -126,11 +125,11 @@ class Curve:
     times : float64 array (K,)
         Seconds of the keys, ascending.
     values : float64 array (K,)
-        Their values.
+        The values of the keys.
     flags : int64 array (K,), optional
-        `CONSTANT`, `LINEAR` or `CUBIC`, and more; None for straight lines.
+        `CONSTANT`, `LINEAR` or `CUBIC`, combined with other flags; None for linear interpolation.
     slopes : float64 array (K, 4), optional
-        Slope after the key and slope before the next one, in values a second; the last two columns are not used.
+        The slope after each key and the slope before the next key, per second; the last two columns are not used.
     """
 
     times: F64
@@ -139,14 +138,14 @@ class Curve:
     slopes: F64 | None = None
 
     def at(self, seconds: F64, late: float = 0.0) -> F64:
-        """Return the values at some times; outside the keys, the value of the first or last key is repeated.
+        """Return the values at given times; before the first and after the last key the value is constant.
 
         Parameters
         ----------
         seconds : float64 array (T,)
             The times.
         late : float
-            Tolerance in seconds: a constant key that comes this late after a sample still applies to it.
+            Tolerance in seconds: a constant key that is at most this much later than a sample applies to the sample.
         """
         straight: F64 = np.interp(seconds, self.times, self.values)
         if self.flags is None or self.slopes is None or len(self.times) < 2:
@@ -183,7 +182,7 @@ class Curve:
         )
 
     def _smooth(self) -> F64:
-        """Return a slope at each key: that of the line through both neighbours, and 0 at both ends and at extrema."""
+        """Return a slope at each key: 0 at extrema and at both ends, else the slope between the neighbouring keys."""
         slopes = np.zeros(len(self.times))
         span = self.times[2:] - self.times[:-2]
         rise = self.values[2:] - self.values[:-2]

@@ -1,10 +1,11 @@
 """The kinematic chain of a body: its points for a pose, and their derivatives (thesis, Section 6.2.1).
 
-A pose is the place of the first node and a rotation R_k of every node. With G_k = G_parent · R_k and the centre c_k =
-c_parent + G_parent · o_k, a point q in the frame of node k is at y = c_k + G_k · q. A step x of the parameters adds
-x₁..₃ to the place, and sets R_k ← R_k · exp(Σ x_d ê_d) over the axes of the node: twists that are linearised at each
-pose, so that no gimbal lock occurs. The derivative of y by a turn about axis e_d of a node k above it is (G_k e_d) × (y
-− c_k); by the place it is the unit vector.
+A pose consists of the position of the first node and a rotation R_k of every node. With G_k = G_parent · R_k and the
+centre c_k = c_parent + G_parent · o_k, a point q in the frame of node k is at y = c_k + G_k · q. A step x of the
+parameters adds x₁..₃ to the position, and sets R_k ← R_k · exp(Σ x_d ê_d) with a sum over the axes of the node. These
+twists are linearised at each pose, so that no gimbal lock occurs. The derivative of y with respect to the rotation
+about axis e_d of node k, or of its ancestor k, is (G_k e_d) × (y − c_k); with respect to a coordinate of the position
+it is the unit vector of that coordinate.
 """
 
 from __future__ import annotations
@@ -35,11 +36,11 @@ class Axis:
     direction : int
         0, 1 or 2 for X, Y or Z of the node's frame.
     sign : float
-        −1 for a turn about the opposite direction.
+        −1 for a rotation about the opposite direction.
     pull : float
-        Standard deviation of the turn about the rest pose, in radians; infinite for none.
+        Standard deviation in radians of the prior of the angle, whose mean is the rest pose; infinite for no prior.
     hinge : tuple of (float, float)
-        Least and greatest turn in radians, infinite for none.
+        Smallest and largest angle in radians; infinite for no limit.
     """
 
     node: int
@@ -56,13 +57,14 @@ class JointRest:
     Attributes
     ----------
     node : int
-        The node that moves it.
+        The node that moves the joint.
     start : int
-        The joint that `along` is seen from; the joint whose place it has where `along` is None and it is not measured.
+        The joint at the other end of the bone, from which `along` points. If `along` is None and the position is not
+        measured, the joint coincides with this one.
     along : tuple of float, optional
-        Direction at rest, which the length of the bone multiplies.
+        Unit vector of the bone at rest, which is multiplied by the bone's length.
     measured : bool
-        True for a place that is measured in the frame of the node.
+        True for a position that is measured in the frame of the node.
     """
 
     node: int
@@ -78,24 +80,24 @@ class KinematicChain:
     Attributes
     ----------
     name : str
-        Its name.
+        The name of the chain.
     nodes : tuple of str
         K nodes, parents first.
     parents : tuple of int
         The parent of each node, −1 for the first.
     centres : tuple of int
-        The joint that each node turns about.
+        The joint that each node rotates about.
     axes : tuple of Axis
         The axes of all nodes, node by node.
     joints : tuple of str
         J joints.
     rest : tuple of JointRest
-        The place of each joint.
+        The position of each joint at rest.
 
     Raises
     ------
     ParameterError
-        A parent stands after its child, or the centre of a node is not moved by the node's parent.
+        A parent comes after its child, or the centre of a node is not moved by the node's parent.
     """
 
     name: str
@@ -140,17 +142,17 @@ class ChainArrays(NamedTuple):
     joint_nodes : int64 array (J,)
         Node that moves each joint.
     joint_offsets : float64 array (J, 3)
-        Place of each joint in the frame of that node, from the node's centre.
+        Position of each joint in the frame of that node, from the node's centre.
     axis_nodes, axis_directions : int64 array (D,)
         Node and direction of each axis.
     axis_signs : float64 array (D,)
         1 or −1.
     pulls : float64 array (D,)
-        1/σ² of the pull to rest.
+        1/σ² of the prior of each angle.
     hinges : float64 array (D, 2)
-        Least and greatest turn.
+        Smallest and largest angle.
     turned : bool array (K, D)
-        True where an axis turns a node: an axis of the node itself or of one of its ancestors.
+        True if an axis rotates a node, since it belongs to the node or to one of the node's ancestors.
     """
 
     parents: I64
@@ -174,7 +176,7 @@ class ChainBody:
     chain : KinematicChain
         The chain.
     offsets : float64 array (J, 3)
-        Place of each joint in the frame of the node that moves it, in metres.
+        Position of each joint in the frame of the node that moves the joint, in metres.
     """
 
     chain: KinematicChain
@@ -215,7 +217,7 @@ class Poses(NamedTuple):
     Attributes
     ----------
     positions : float64 array (T, 3)
-        Place of the first node in metres.
+        Position of the first node in metres.
     rotations : float64 array (T, K, 3, 3)
         Rotation of each node from its parent.
     """
@@ -232,7 +234,7 @@ def forward(body: ChainBody, poses: Poses) -> tuple[F64, F64]:
     body : ChainBody
         The body.
     poses : Poses
-        Its poses.
+        The poses of the body in T frames.
 
     Returns
     -------
@@ -309,7 +311,7 @@ def point_jacobian(chain: ChainArrays, turned: F64, centres: F64, node: int, poi
     point : float64 array (3,)
         The point in the world.
     columns : float64 array (parameters, 4)
-        Out: the parameter, and the derivative of the point by it.
+        Output: the index of a parameter, and the derivative of the point with respect to this parameter.
 
     Returns
     -------
@@ -413,7 +415,7 @@ def log_of(rotation: F64) -> tuple[float, float, float]:
 
 @njit(cache=True, nogil=True)
 def log_derivative(vector: F64) -> F64:
-    """Return the derivative (3, 3) of log(R exp(x)) by x at 0, for log R = vector: the inverse right Jacobian."""
+    """Return the inverse right Jacobian (3, 3): the derivative of log(R exp(x)) at x = 0, for log R = vector."""
     x, y, z = vector
     square = x * x + y * y + z * z
     angle = np.sqrt(square)
@@ -430,10 +432,10 @@ def log_derivative(vector: F64) -> F64:
 def log_gradients(
     vector: tuple[float, float, float], pull: tuple[float, float, float]
 ) -> tuple[float, float, float, float, float, float]:
-    """Return Jᵀq and J q for a vector q (a gradient by the logarithm), with the J of `log_derivative`.
+    """Return Jᵀq and J q for a vector q, a gradient with respect to log R, with the matrix J of `log_derivative`.
 
-    They are q ∓ ½ v × q + b v × (v × q). The first is the gradient by a turn on the right of the rotation, the second
-    minus that by a turn of the frame that the rotation is seen from.
+    The results are q ∓ ½ v × q + b v × (v × q) for v = log R. Jᵀq is the gradient with respect to a rotation that is
+    multiplied to R from the right; −J q is the gradient with respect to a rotation of the frame that R is relative to.
     """
     x, y, z = vector
     p, q, r = pull
@@ -451,7 +453,7 @@ HINGE_RAD = 0.05
 
 @njit(cache=True, nogil=True)
 def rest_cost(chain: ChainArrays, rotations: F64) -> float:
-    """Return the sum of squares of the pulls to the rest pose and of the hinges' excess in one frame."""
+    """Return the sum of the squared deviations of angles from the rest pose and beyond hinge limits in one frame."""
     total, d = 0.0, 0
     for k in range(len(chain.parents)):
         if d >= len(chain.axis_nodes) or chain.axis_nodes[d] != k:
@@ -467,9 +469,10 @@ def rest_cost(chain: ChainArrays, rotations: F64) -> float:
 
 @njit(cache=True, nogil=True)
 def add_rest_terms(chain: ChainArrays, rotations: F64, hessian: F64, gradient: F64) -> float:
-    """Add the terms of `rest_cost` to H and g of one frame, with g half of the cost's derivative; return the cost.
+    """Add the terms of `rest_cost` to the normal equations H, g of one frame, and return the cost.
 
-    g holds the exact derivative of the logarithm; H takes it as the identity, and stays diagonal.
+    g is half of the cost's gradient, with the exact derivative of the logarithm. In H this derivative is approximated
+    by the identity, so that the added terms are diagonal.
     """
     total, d = 0.0, 0
     slopes = np.empty(3)

@@ -21,8 +21,8 @@ ROTATE_X, ROTATE_Y, ROTATE_Z, MOVE_X, MOVE_Y, MOVE_Z, STRETCH = range(7)
 """The kinds of channels: rotation about an axis, translation along one, or lengthening of the bone."""
 
 BLOCK = 120
-"""Frames per block: the matrices of a whole body then fit into the second-level cache. Rows are not a power of two
-apart, since they would then compete for a few lines of the first-level cache.
+"""Frames per block, so that the matrices of a whole body fit into the second-level cache. The number is not a power of
+two, because rows at such distances would compete for a few lines of the first-level cache.
 """
 
 LARGEST = 1e6
@@ -55,15 +55,15 @@ class Node:
     Attributes
     ----------
     parent : int
-        Index of the node before it, −1 for the root.
+        Index of the parent node, −1 for the root.
     frame : float64 array
-        (3, 3) the node's axes in its parent's.
+        The node's axes (3, 3) in the axes of its parent.
     before, after : float64 array
-        (3,) offsets in metres, before (in the parent's axes) and after the node's own rotation.
+        Offsets (3,) in metres: before the node's rotation, in the parent's axes, and after it.
     direction : float64 array
-        (3,) unit vector that a STRETCH channel lengthens `after` along.
+        Unit vector (3,) along which a STRETCH channel lengthens `after`.
     steps : tuple of Step
-        In the order in which the rotation matrices are multiplied, leftmost first.
+        The channels, in the order in which the rotation matrices are multiplied, leftmost first.
     """
 
     name: str
@@ -102,13 +102,13 @@ def forward(
     Parameters
     ----------
     nodes : tuple of Node
-        Parents before children.
+        The nodes, parents before children.
     channels : float64 array (T, C)
-        Rotations in radians, moves and stretches in metres.
+        Rotations in radians, translations and stretches in metres.
     oriented : int
-        Index of the node whose orientation is wanted.
+        Index of the node whose orientation is returned.
     wanted : iterable of int or None
-        Indices of the nodes whose positions are wanted; None for all. Other branches are not computed.
+        Indices of the nodes whose positions are returned; None for all. Branches without such a node are not computed.
 
     Returns
     -------
@@ -119,7 +119,7 @@ def forward(
     Raises
     ------
     ParameterError
-        If a parent stands after its child, or a step, `oriented` or `wanted` is out of range.
+        If a parent comes after its child, or a step, `oriented` or `wanted` is out of range.
     """
     chain = _chain(nodes)
     if not 0 <= oriented < len(nodes):
@@ -321,7 +321,7 @@ def frames_along(across: F64, up: F64) -> F64:
     Parameters
     ----------
     across, up : float64 array (3, T)
-        Of any length. Where one is zero or both lie on one line, the matrix is NaN.
+        Vectors of any length. If a vector is zero or both are parallel, the matrix is NaN.
     """
     with np.errstate(invalid="ignore", divide="ignore"):
         x = across / np.linalg.norm(across, axis=0)

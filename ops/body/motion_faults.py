@@ -1,8 +1,8 @@
 """This module measures faults of a motion, such as feet that slide or sink, limbs that jump and joints that stop.
 
-The measures are those that animators and biomechanists use on a take that was read correctly; `ops.body.plausibility`
-has the measures that reveal a file that was read wrongly. All frames count, except pairs and triples of frames of which
-one is invalid. `fault_marks` finds the frames that cause the frame-wise measures.
+These measures, which animators and biomechanists use, assume that a take was read correctly; `ops.body.plausibility`
+has measures that reveal a file that was read wrongly. All frames are measured, except pairs and triples that contain an
+invalid frame. `fault_marks` finds the frames that cause high values.
 """
 
 from __future__ import annotations
@@ -30,17 +30,17 @@ GROUND_M = 0.1
 """Height in metres above the floor up to which a joint touches the ground."""
 
 FLOOR_SHARE = 0.05
-"""Quantile of heights that is used as the usual lowest height, so that a few outliers do not move it."""
+"""Quantile of heights that is used as the usual lowest height, so that a few outliers do not affect it."""
 
 LOCKED = math.radians(12.0)
 """Angle in radians; a knee bends forwards if its shank points forwards of the thigh by more than this."""
 
 SIDEWAYS = 0.7
-"""Cosine between the axis of a knee and the line through the hips, up to which the knee bends sideways, not forwards.
+"""Cosine between a knee's axis and the line through the hips; at or below it, a bend is sideways and not counted.
 """
 
 LAG_S = 1.0 / 30.0
-"""Time step in seconds of the jitter measure: noise between single frames of fast cameras is not jitter of the motion.
+"""Time step in seconds of the jitter measure, long enough to exclude noise between successive frames of fast cameras.
 """
 
 MOVES_M_S = 0.03
@@ -55,7 +55,7 @@ _LIMBS = tuple((s + a, s + b) for s in "lr" for a, b in (("hip", "knee"), ("knee
                ("elbow", "wrist")))  # fmt: skip
 
 SPIKE = math.radians(40.0)
-"""Angle in radians; a limb that turns away by more than this in one frame and back in the next is marked."""
+"""Angle in radians; a limb that rotates by more than this in one frame and back in the next is marked."""
 
 SKATE_M_S = 1.2
 """Speed in m/s; a foot in contact with the ground that slides faster is marked."""
@@ -76,9 +76,9 @@ class MotionFaults:
     Attributes
     ----------
     foot_skate_m_s : float
-        Metres that feet slide over the ground per second of contact.
+        The distance in metres that feet slide over the ground per second of contact.
     penetration_m : float
-        How far the deepest foot joint goes below the floor of the take, in metres.
+        The depth of the lowest foot joint below the floor of the take, in metres.
     flight_s : float
         The longest time in which no joint touches the ground, in seconds.
     knee_forwards_share : float
@@ -86,10 +86,10 @@ class MotionFaults:
     spike_deg : float
         The largest angle by which a limb turns from one frame to the next and back in the frame after that.
     jitter_m_s3 : float
-        The median of the third derivative of the places of all joints, over time steps of `LAG_S`.
+        The median magnitude of the third derivative of joint positions, over time steps of `LAG_S`.
     stuck_share : float
-        The largest share of steps in which a knee, an elbow or a wrist keeps its place exactly, while the other end of
-        its limb moves by more than `MOVES_M_S`.
+        The largest fraction of steps in which a knee, elbow or wrist keeps exactly the same position, while the other
+        end of its limb moves faster than `MOVES_M_S`.
     invalid_share : float
         The fraction of invalid frames.
     """
@@ -326,7 +326,7 @@ class FaultMarks:
     figure : str
         The measure of a take that these frames affect, as in `ops.body.motion_faults.MotionFaults`.
     name, meaning : str
-        A title, and what is marked.
+        A title, and a description of the fault that is marked.
     frames : bool array (T,)
         The frames.
     """
@@ -389,7 +389,7 @@ def _angles(one: F64, other: F64) -> F64:
 
 
 def _spikes(bone: F64) -> Bool:
-    """Return the frames in which a bone (T, 3) points elsewhere than in the frames before and after."""
+    """Return the frames in which the direction of a bone (T, 3) differs from both the previous and the next frame."""
     step, over = _angles(bone[:-1], bone[1:]), _angles(bone[:-2], bone[2:])
     found = np.zeros(len(bone), np.bool_)
     found[1:-1] = 0.5 * (step[:-1] + step[1:] - over) > SPIKE

@@ -93,8 +93,8 @@ class Spline:
 def spline(x: F64, y: F64) -> Spline:
     """Return a cubic spline through points, with the third derivatives at its ends from the four outermost points.
 
-    Forsythe, Malcolm and Moler, Computer Methods for Mathematical Computations, 1977, Section 4.4; it is the spline of
-    SIMM and OpenSim. With two points it is a line, with three a parabola.
+    The spline is that of SIMM and OpenSim (Forsythe, Malcolm and Moler, Computer Methods for Mathematical Computations,
+    1977, Section 4.4). With two points it is a line, with three a parabola.
 
     Parameters
     ----------
@@ -140,7 +140,7 @@ class AxisMotion:
     coordinates : tuple of int
         Indices of the coordinates.
     function : Function
-        Radians of a turn, metres of a shift.
+        The angle in radians, or the displacement in metres.
     """
 
     axis: F64
@@ -150,7 +150,7 @@ class AxisMotion:
 
 @dataclass(frozen=True)
 class Placed:
-    """A frame in another frame: its rotation (3, 3), and its origin (3,) in metres."""
+    """The rotation (3, 3) and the origin (3,), in metres, of a frame in another frame."""
 
     rotation: F64
     origin: F64
@@ -158,18 +158,19 @@ class Placed:
 
 @dataclass(frozen=True)
 class Joint:
-    """A joint: its frames in the parent and in the child body, and the motion of the second relative to the first.
+    """A joint between two bodies: its frame in the parent and in the child, and the motion between these frames.
 
     Attributes
     ----------
     parent : int
-        Index of the joint whose child is this one's parent, smaller than its own; −1 for the ground.
+        Index of the joint whose child body is the parent body of this joint, smaller than this joint's index; −1 for
+        the ground.
     in_parent, in_child : Placed
-        The joint's frames in the bodies.
-    turns : tuple of Motion
-        Turns, each about an axis that those before it have turned.
-    shifts : tuple of Motion
-        Shifts along axes of the frame in the parent.
+        The joint's frame in the parent body and in the child body.
+    turns : tuple of AxisMotion
+        Rotations in order; each is about an axis that the previous rotations have rotated.
+    shifts : tuple of AxisMotion
+        Translations along axes of the frame in the parent.
     """
 
     parent: int
@@ -180,7 +181,7 @@ class Joint:
 
 
 def euler_xyz(angles: F64) -> F64:
-    """Return the rotation (3, 3) of angles (3,) in radians about x, then the turned y, then the turned z."""
+    """Return the rotation (3, 3) by angles (3,) in radians about x, then the rotated y, then the rotated z axis."""
     about = axisangle.matrices(np.diag(angles))
     found: F64 = about[0] @ about[1] @ about[2]
     return found
@@ -192,16 +193,16 @@ def forward(joints: Sequence[Joint], coordinates: F64) -> tuple[list[F64], list[
     Parameters
     ----------
     joints : sequence of Joint
-        The J joints, each after the one of its parent.
+        The J joints, each after the joint of its parent body.
     coordinates : float64 array (Q, T)
         Generalised coordinates, in radians and metres.
 
     Returns
     -------
     rotations : list of float64 array (T, 3, 3)
-        The rotation of each joint's child body in the ground.
+        The rotation of each joint's child body relative to the ground.
     origins : list of float64 array (T, 3)
-        Its origin, in metres.
+        The origin of each child body, in metres.
 
     Raises
     ------

@@ -1,6 +1,6 @@
-"""This module measures a take to reveal wrong reading: size, proportions, up axis, sides, ground, speed and tempo.
+"""This module measures size, proportions, axes, ground and speed of a take, to reveal a file that was read wrongly.
 
-Geometry is measured in `SAMPLED` valid frames, spread evenly over the take; speeds in all frames.
+Geometry is measured in `SAMPLED` valid frames, spread evenly over the take, and speeds in all frames.
 """
 
 from __future__ import annotations
@@ -72,24 +72,24 @@ class Plausibility(MotionFaults):
     Attributes
     ----------
     height_m : float
-        The height of the body along its legs and trunk, metres.
+        The height of the body along its legs and trunk, in metres.
     thigh_share, shank_share, upper_arm_share, forearm_share : float
-        The lengths of limbs, mean of left and right, as shares of the height.
+        The lengths of limbs, averaged over left and right, as fractions of the height.
     neck_share : float
-        How far the neck lies above the middle of the shoulders along the trunk, as a fraction of the height.
+        The distance of the neck above the middle of the shoulders along the trunk, as a fraction of the height.
     asymmetry : float
         The largest difference between the left and the right limb, as a fraction of their mean.
     bone_variation : float
         The largest standard deviation of the length of a limb over time, as a fraction of its mean.
     up_axis : str
-        The axis along which the body stands: "y" for a take that is read rightly, empty where nothing decides.
+        The axis along which the body stands; "y" for a take that was read correctly, empty if it cannot be determined.
     up_confidence : float
         The confidence of the up axis, from 0 to 1.
     left_right : float
-        From −1 (left and right are exchanged) to 1; by toes and knees, or by shoulders or knees that contradict the
-        hips.
+        A number from −1 (left and right are exchanged) to 1 (they are not), judged by toes and knees, or by shoulders
+        or knees that contradict the hips.
     floor_m : float
-        The median height of the lowest foot, metres; NaN for a body whose root is fixed in space.
+        The median height of the lowest foot in metres; NaN for a body whose root is fixed in space.
     speed_m_s : float
         The mean speed of all joints.
     fast_m_s : float
@@ -97,13 +97,13 @@ class Plausibility(MotionFaults):
     fastest_m_s : float
         The largest speed of a joint between two frames.
     tempo_hz, acceleration_m_s2 : float
-        The tempo of hands and feet, and the 90th percentile of their acceleration.
+        The tempo of hands and feet (`ops.body.tempo`), and the 90th percentile of their acceleration.
     repeated_share : float
-        The fraction of frames that are equal to the one before.
+        The fraction of frames that are equal to the previous frame.
     seconds : float
-        The time in which speeds are measured.
+        The total time over which speeds are measured.
     fastest : (str, int) or None
-        The fastest joint, and the frame before its fastest step.
+        The joint of the largest speed, and the first of the two frames between which it occurs.
     """
 
     height_m: float = UNKNOWN
@@ -140,7 +140,7 @@ def plausibility(positions: F64, joints: tuple[str, ...], rate_hz: float, valid:
     rate_hz : float
         Frames per second.
     valid : bool array (T,), optional
-        The frames that count; None for all.
+        The frames to measure; None for all.
 
     Returns
     -------
@@ -196,7 +196,7 @@ def reasons(positions: F64, joints: tuple[str, ...], valid: Bool | None = None) 
 
 @lru_cache(maxsize=16)
 def _places_of(joints: tuple[str, ...]) -> I64:
-    """Return the index of each of `_JOINTS`, −1 for one that the take lacks."""
+    """Return the index of each of `_JOINTS`, −1 for a joint that the take lacks."""
     return np.array([joints.index(joint) if joint in joints else -1 for joint in _JOINTS])
 
 
@@ -347,7 +347,7 @@ def _motion(positions: F64, joints: tuple[str, ...], rate_hz: float, counted: Bo
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def _swung(positions: F64, at: I64) -> F64:
-    """Return the tracks (N, 3, T) of known wrists and ankles, none if all of them stand still."""
+    """Return the tracks (N, 3, T) of known wrists and ankles; no track if all of them are still."""
     tracks = np.empty((len(_SWUNG), 3, positions.shape[2]))
     used, most = 0, 0.0
     for joint in _SWUNG:
@@ -370,7 +370,7 @@ def _swung(positions: F64, at: I64) -> F64:
 def _speeds(positions: F64, known: Bool, rate_hz: float) -> tuple[float, int, int, int, float, int, int, int]:
     """Return the sum and count of speeds, repeated frames, steps, the largest speed with joint and frame, and a bin.
 
-    The bin of the histogram is that of the 99th percentile of speeds.
+    The last number is the bin of the histogram of speeds that contains the 99th percentile.
     """
     joints, _, frames = positions.shape
     total, counted, fastest, joint, frame = 0.0, 0, 0.0, 0, 0

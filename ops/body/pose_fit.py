@@ -43,14 +43,14 @@ def measured_body(chain: KinematicChain, positions: F64) -> ChainBody:
     Parameters
     ----------
     chain : KinematicChain
-        The chain; its first node turns about the root.
+        The chain; its first node rotates about the root.
     positions : float64 array (J, 3, T)
-        The joints of the chain in metres, Y up; NaN where a joint is not seen.
+        The joints of the chain in metres, Y up; NaN if a joint is not seen.
 
     Raises
     ------
     ParameterError
-        A joint is seen in no frame together with the one that its length is measured from.
+        A joint is seen in no frame together with the joint at the other end of its bone.
     """
     offsets = np.zeros((len(chain.joints), 3))
     pelvis = _pelvis(chain, positions)
@@ -77,26 +77,26 @@ def fit_poses(
 ) -> Poses:
     """Fit the poses of a body to joints, each frame independently.
 
-    The method minimises the sum of squares of the distances to the joints over sigma, of the pulls to the rest pose and
-    of the excess of hinges, starting from `start_poses`.
+    The method starts from `start_poses` and minimises a sum of squares. Its terms are the distances to the joints
+    divided by sigma, the deviations of angles from the rest pose, and the excess of angles over the limits of hinges.
 
     Parameters
     ----------
     body : ChainBody
         The body.
     positions : float64 array (J, 3, T)
-        The joints in metres, Y up; a joint that is NaN has no term, and the rest of the body decides where it is.
+        The joints in metres, Y up. A joint that is NaN has no term; its position follows from the other joints.
     sigma_m : float, optional
-        Standard deviation of a joint's place, in metres.
+        Standard deviation of a joint's position, in metres.
     steps : int, optional
-        The most steps in a frame.
+        The maximum number of steps in a frame.
     tolerance : float, optional
-        A frame is done where a step makes the sum less by no more than this share.
+        The fit of a frame ends if a step decreases the sum by no more than this fraction.
 
     Returns
     -------
     Poses
-        T poses; a frame without any joint has the rest pose, with the pelvis as `start_poses` puts it.
+        T poses; a frame without any joint has the rest pose, with the pelvis of `start_poses`.
     """
     joints = len(body.chain.joints)
     if positions.ndim != 3 or positions.shape[:2] != (joints, 3):
@@ -115,14 +115,15 @@ def start_poses(body: ChainBody, positions: F64) -> Poses:
     Parameters
     ----------
     body : ChainBody
-        A body of the shipped chain's nodes.
+        A body with the nodes of the shipped chain.
     positions : float64 array (J, 3, T)
-        The joints in metres, Y up. A direction that is not known is that of the parent node.
+        The joints in metres, Y up. If a direction is not known, the node has the orientation of its parent.
 
     Returns
     -------
     Poses
-        T poses; where the pelvis is not seen, it is that of the nearest frame before, else of the first one seen.
+        T poses. If the pelvis is not seen in a frame, it is copied from the last frame before in which it is seen, or
+        else from the first frame in which it is seen.
     """
     chain = body.chain
     at = {name: positions[j].T for j, name in enumerate(chain.joints)}
@@ -173,10 +174,9 @@ def _world_turns(chain: KinematicChain, positions: F64, at: dict[str, F64]) -> d
 
 
 def _pelvis(chain: KinematicChain, positions: F64) -> F64:
-    """Return the frame (T, 3, 3) of the pelvis: X from the right to the left hip, Y from their middle to the root.
+    """Return the axes (T, 3, 3) of the pelvis: X from the right to the left hip, Y from their middle to the root.
 
-    Where the root is the middle of the hips, Y is the direction to the middle of the shoulders. NaN where it is not
-    known.
+    If the root is the middle of the hips, Y points to the middle of the shoulders. Unknown axes are NaN.
     """
     root, left, right, lshoulder, rshoulder = (
         positions[chain.joint(name)].T for name in ("root", "lhip", "rhip", "lshoulder", "rshoulder")
@@ -212,7 +212,7 @@ def _unit(vectors: F64) -> F64:
 def _frame(first: int, exact: F64, second: int, near: F64, above: F64) -> F64:
     """Return frames (T, 3, 3) with one axis along `exact`, and another as close to `near` as possible.
 
-    An axis that is not known is that of the frame `above`.
+    An axis that is not known is taken from the frame `above`.
     """
     one = _unit(exact)
     one = np.where(np.isfinite(one.sum(axis=1, keepdims=True)), one, above[:, :, first])

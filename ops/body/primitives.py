@@ -1,9 +1,9 @@
 """This module computes the geometric primitives of relational features in compiled loops over the frames of one take.
 
-Positions are float64 (J, 3, T). A primitive fills an array with its values in the frames from `start` on, as many as
-the array has: a kernel that works on short blocks of a take has all of them in the cache of a core. Vectors are (3, n),
-one row per coordinate, so that the loops over frames vectorise. A vector of length zero gives NaN (0/0), which every
-comparison of a feature turns into "off".
+Positions are float64 (J, 3, T). A primitive fills the array `out` with its values in the frames from `start` on. With
+short arrays, a kernel can work on one block of a take after the other and keep each block in the cache of a core.
+Vectors are (3, n), one row per coordinate, so that the loops over frames vectorise. A vector of length zero gives NaN
+(0/0), for which every feature is off.
 """
 
 from __future__ import annotations
@@ -43,8 +43,8 @@ def _reflect(index: int, length: int) -> int:
 def velocity(positions: F64, q: int, c: int, window: int, rate_hz: float, start: int, out: F64) -> None:
     """Fill in the velocities (3, n) of joint q relative to joint c, or to the world for c < 0, over W samples.
 
-    They are smoothed by a moving average. The moving average of first differences telescopes: away from the ends of
-    the take it is the difference of two positions W frames apart, divided by W. At the ends the reflected differences
+    Velocities are smoothed by a moving average of W first differences. Away from the ends of the take, this sum
+    telescopes to the difference of two positions W frames apart, divided by W. At the ends, the reflected differences
     are summed one by one.
     """
     frames, stop = positions.shape[2], start + out.shape[1]
@@ -121,7 +121,7 @@ def norm(v: F64, out: F64) -> None:
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def angle_between(u: F64, v: F64, out: F64) -> None:
-    """Fill in the angles between vectors in degrees; NaN where one has length 0."""
+    """Fill in the angles between vectors in degrees; NaN if a vector has length 0."""
     ux, uy, uz, vx, vy, vz = u[0], u[1], u[2], v[0], v[1], v[2]
     for t in range(len(out)):
         dot = ux[t] * vx[t] + uy[t] * vy[t] + uz[t] * vz[t]
@@ -139,7 +139,7 @@ def angle_between(u: F64, v: F64, out: F64) -> None:
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def lowest(positions: F64, joints: I64, start: int, out: F64) -> None:
-    """Fill in the lowest Y over some joints, ignoring NaN."""
+    """Fill in the lowest Y of the given joints, ignoring NaN."""
     out[:] = np.inf
     for j in joints:
         height = positions[j, 1, start : start + len(out)]
@@ -150,7 +150,7 @@ def lowest(positions: F64, joints: I64, start: int, out: F64) -> None:
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def highest(positions: F64, joints: I64, start: int, out: F64) -> None:
-    """Fill in the highest Y over some joints, ignoring NaN."""
+    """Fill in the highest Y of the given joints, ignoring NaN."""
     out[:] = -np.inf
     for j in joints:
         height = positions[j, 1, start : start + len(out)]
@@ -161,7 +161,7 @@ def highest(positions: F64, joints: I64, start: int, out: F64) -> None:
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def widest_xz(positions: F64, joints: I64, start: int, out: F64) -> None:
-    """Fill in the largest horizontal distance between any two of some joints."""
+    """Fill in the largest horizontal distance between any two of the given joints."""
     stop = start + len(out)
     out[:] = 0.0
     for m in range(len(joints)):
@@ -184,8 +184,8 @@ def widest_xz(positions: F64, joints: I64, start: int, out: F64) -> None:
 def turn_rate(orientation: F64, rate_hz: float, start: int, out: F64) -> None:
     """Fill in the absolute angular speed about Y in degrees per second, from unit quaternions (4, T).
 
-    The X axis, turned by the orientation and projected on the XZ plane, is compared between a frame and the next; 0 in
-    the last frame of the take, and where a projection has no length.
+    The X axis is rotated by the orientation and projected on the XZ plane, and the speed follows from its directions in
+    a frame and in the next frame. The speed is 0 in the last frame of the take, and if a projection has length 0.
     """
     out[:] = 0.0
     ax, az = 0.0, 0.0
@@ -216,7 +216,7 @@ def bounds(comparison: int, low: float, high: float) -> tuple[float, float]:
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def add_bit(x: F64, low: float, high: float, bit: int, words: U64) -> None:
-    """Set a bit of the words where a value lies in [low, high], and never for NaN."""
+    """Set a bit of each word whose value lies in [low, high]; NaN does not set it."""
     place = np.uint64(bit)
     for t in range(len(x)):
         words[t] |= np.uint64((x[t] >= low) & (x[t] <= high)) << place
@@ -226,7 +226,7 @@ def add_bit(x: F64, low: float, high: float, bit: int, words: U64) -> None:
 def hysteresis(weak: U64, strong: U64, state: U64, words: U64) -> None:
     """Fill in the words of consecutive frames by hysteresis, for all features at once.
 
-    A feature turns on where its strong condition becomes true and stays on until the weak one is false.
+    A feature turns on when its strong condition becomes true, and stays on until its weak condition is false.
 
     Parameters
     ----------

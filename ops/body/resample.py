@@ -1,6 +1,6 @@
 """This module changes frame rates: positions are interpolated linearly, orientations by slerp.
 
-Gaps, in which a point was not seen, are found, and short ones interpolated.
+It also finds gaps, in which a point was not seen, and fills short gaps by interpolation.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ _ON_A_FRAME = 1e-9  # interpolation weights below this are rounding errors
 def feature_rate(source_rate_hz: float, rate_hz: float) -> float:
     """Return the multiple of the analysis rate that is nearest to a source rate, at least the analysis rate.
 
-    Features are computed at that rate, then every (multiple)-th frame is kept. Halfway rates are rounded up.
+    Features are computed at this rate, and then one frame in every `multiple` frames is kept. Ties are rounded up.
     """
     if not (np.isfinite(source_rate_hz) and source_rate_hz > 0):
         raise ParameterError("source_rate_hz", "positive and finite", source_rate_hz)
@@ -28,7 +28,7 @@ def feature_rate(source_rate_hz: float, rate_hz: float) -> float:
 
 
 class Sampled(NamedTuple):
-    """A take at another rate: positions (J, 3, T'), orientation (4, T'), valid bool (T',) or None where all are."""
+    """A take at another rate: positions (J, 3, T'), orientation (4, T'), and valid frames (T',), None for all."""
 
     positions: F64
     orientation: F64
@@ -54,8 +54,8 @@ def resample(
     Returns
     -------
     Sampled
-        The take with T' = floor((T − 1) · rate / source_rate) + 1 frames; unchanged for one rate. A frame is valid
-        if the frames that it is interpolated from are valid.
+        The take with T' = floor((T − 1) · rate / source_rate) + 1 frames, unchanged if both rates are equal. A frame is
+        valid if the frames that it is interpolated from are valid.
     """
     frames = positions.shape[2]
     if source_rate_hz == rate_hz or frames < 2:
@@ -76,10 +76,10 @@ def resample(
 def covered_frames(start: int, stop: int, frames: int, source_rate_hz: float, rate_hz: float) -> tuple[int, int]:
     """Return the interval of source frames that an interval of resampled frames covers.
 
-    Frame t of the result lasts from t to t + 1 of its own frames, and covers the source frames that begin in that time;
-    so neighbouring intervals share no source frame. Resampling these source frames gives as many frames as the interval
-    has, or one more or less if the source is slower than the result. Where the ratio of the rates is not an integer, a
-    few more source frames may be included for this.
+    Frame t of the result lasts from t / rate to (t + 1) / rate seconds, and covers the source frames that begin in this
+    time. Hence adjacent intervals share no source frame. Resampling the covered source frames gives as many frames as
+    the interval has, or one more or less if the source is slower than the result. To achieve this, a few more source
+    frames may be included if the ratio of the rates is not an integer.
 
     Parameters
     ----------
@@ -131,7 +131,7 @@ def _slerp(a: F64, b: F64, share: F64) -> F64:
 
 @dataclass(frozen=True)
 class Gap:
-    """A gap: a point is missing from frame `start` up to, not including, `stop`."""
+    """A gap in the track of a point, which is missing from frame `start` up to, but not including, `stop`."""
 
     point: int
     start: int
@@ -165,7 +165,7 @@ def fill_gaps(positions: F64, longest: int) -> tuple[F64, list[Gap], list[Gap]]:
     Parameters
     ----------
     positions : float64 array
-        float64 (points, 3, T) with NaN in the gaps.
+        Positions (points, 3, T), NaN in the gaps.
 
     Returns
     -------

@@ -29,9 +29,9 @@ class Tempo:
     Attributes
     ----------
     hz : float
-        The frequency of a swing with the same ratio of acceleration to speed, in the median over frames.
+        The frequency in Hz of a harmonic motion with the same ratio of acceleration to speed, as a median over frames.
     acceleration : float
-        The 90th percentile over points and frames, in units of length per second squared.
+        The 90th percentile of acceleration over points and frames, in units of length per second squared.
     """
 
     hz: float
@@ -39,12 +39,12 @@ class Tempo:
 
 
 def tempo(tracks: F64, rate_hz: float) -> Tempo | None:
-    """Measure the tempo of some points, for instance wrists and ankles.
+    """Measure the tempo of a set of points, for instance wrists and ankles.
 
     Parameters
     ----------
     tracks : float64 array (N, 3, T)
-        NaN where a point is not known.
+        Positions of N points over time; NaN if a point is not known.
     rate_hz : float
         Frames per second.
 
@@ -61,8 +61,8 @@ def tempo(tracks: F64, rate_hz: float) -> Tempo | None:
 def likely_rate(tracks: F64) -> float | None:
     """Estimate the frame rate from the motion alone: the rate at which hands and feet move at the typical tempo.
 
-    On HDM05, CMU and Bandai, with every frame and with every second one, it is right within a factor of 2 for 96 % of
-    takes, and within 3 for 98 %.
+    On HDM05, CMU and Bandai, with all frames and with every second frame, the estimate is within a factor of 2 of the
+    true rate for 96 % of takes, and within a factor of 3 for 98 %.
 
     Parameters
     ----------
@@ -91,7 +91,10 @@ def usual_rate(rate_hz: float) -> float:
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def turn_and_acceleration(tracks: F64, lag: int) -> tuple[float, float]:
-    """Return the median turn over a lag in radians, and the 90th percentile of second differences; NaN if still."""
+    """Return the median angle of motion over a lag in radians, and the 90th percentile of second differences.
+
+    Both are NaN if nothing moves.
+    """
     points, _, length = tracks.shape
     frames = max(length - 2 * lag, 0)
     taken = min(frames, _MAX_DIFFERENCES)

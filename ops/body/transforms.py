@@ -59,16 +59,16 @@ def global_transforms(parents: Sequence[int], linear: F64, offsets: F64) -> tupl
     Parameters
     ----------
     parents : sequence of int
-        The index of each node's parent, smaller than its own; −1 for a root.
+        The index of each node's parent, which must be smaller than the node's index; −1 for a root.
     linear : float64 array (N, T, 3, 3)
         Rotation and scale of each node in its parent's axes; T may be 1 for all.
     offsets : float64 array (N, T, 3)
-        Place of each node in its parent's axes.
+        Position of each node in its parent's axes.
 
     Returns
     -------
     tuple[float64 array, float64 array]
-        Rotation and scale (N, T, 3, 3), and places (N, T, 3), in the scene's axes.
+        Rotation and scale (N, T, 3, 3), and positions (N, T, 3), in the scene's axes.
 
     Raises
     ------

@@ -4,20 +4,21 @@
     if up.axis:                         # "x", "y", "z", "-x", "-y" or "-z"; "" where nothing decides
         print(up.axis, up.confidence, *up.reasons, sep="; ")
 
-Three observations vote, and none of them uses the name of an axis, so that a turned body gets the turned axis:
+The judgement combines three observations. None of them prefers an axis, so rotating the body rotates the result:
 
-- *posture*: in most frames the head is above the hips, and the hips are above the feet; - *ground*: over time the
-lowest point of the body stays at one height, whereas the hips travel across the ground; - *rest pose*: a skeleton that
-stands in its rest pose stands along the vertical axis.
+- *posture*: in most frames the head is above the hips, and the hips are above the feet;
+- *ground*: over time the lowest point of the body stays at one height, whereas the hips travel across the ground;
+- *rest pose*: a skeleton that stands in its rest pose stands along the vertical axis.
 
-A body that lies still looks like one that stands, turned. Therefore posture alone decides only where neither ground nor
-rest pose contradict it, and a body that lies or hangs throughout is left undecided: the caller keeps the format's axis.
-(One that lies still, in a file without a rest pose, passes for one that stands, with a confidence of 0.8.)
+A body that lies still looks like a standing body that was rotated. Therefore posture alone decides only if neither
+ground nor rest pose contradicts it. For a body that lies or hangs throughout, the result is undecided, and the caller
+should use the axis of the file format. (A body that lies still, in a file without a rest pose, is taken for a standing
+body, with a confidence of 0.8.)
 
-It also judges from joint positions alone whether the left and right of a body are exchanged. Toes lie in front of the
-ankles, and knees bend forwards. Both show the direction that the body faces without the words left and right; the left
-hip then has to lie to the left of it. The judgement holds in any right-handed axes, whichever of them is up. Exchanged
-names and a mirrored axis look the same, and give the same answer.
+The module also judges from joint positions alone whether the left and right of a body are exchanged. Toes lie in front
+of the ankles, and knees bend forwards. Both determine the direction that the body faces without using the names left
+and right, and the left hip must lie to the left of this direction. The judgement holds in any right-handed axes,
+whichever of them is up. Exchanged names and a mirrored axis cannot be distinguished, and give the same result.
 """
 
 from __future__ import annotations
@@ -41,7 +42,7 @@ HEADS = (("head",), ("headtop",), ("neck",), ("lshoulder", "rshoulder"), ("lclav
 HIPS = (("lhip", "rhip"), ("root",), ("belly",))
 FEET = (("lankle", "rankle"), ("ltoes", "rtoes"), ("lknee", "rknee"))
 _STRAIGHT, _LEANING, _BENT = 0.75, 0.85, 0.4
-"""Cosines with the vertical axis: of trunk and legs of a standing body, of the trunk of a sitting one, and of its legs.
+"""Cosines with the vertical axis: of trunk and legs of a standing body, and of the trunk and the legs of a sitting one.
 """
 
 _HALF_BODY = 0.75  # weight of the posture of a trunk without legs, or of legs without a trunk
@@ -57,7 +58,7 @@ _NO_BODY = ("no hips with head or feet",)
 GAIN = 1.6  # confidence is 1 − exp(−GAIN · lead)
 
 CLEAR = 0.15
-"""Values nearer to 0 than this decide nothing; takes of HDM05, CMU and Bandai have 0.37 and more."""
+"""Values nearer to 0 than this are inconclusive; takes of HDM05, CMU and Bandai have values of 0.37 and more."""
 
 _KNEE_BENT = 0.15  # leg lengths; a knee so far off the line from hip to ankle counts as fully bent
 _TOES, _KNEES = 2.0, 1.0  # weights of the evidence of toes and of knees
@@ -70,9 +71,9 @@ class UpAxis:
     Attributes
     ----------
     axis : str
-        One of `AXES`; empty where the confidence is below `SURE`.
+        One of `AXES`; empty if the confidence is below `SURE`.
     confidence : float
-        From 0 to 1, by the lead of the best axis over the second.
+        A number from 0 to 1, which grows with the lead of the best axis over the second.
     reasons : tuple of str
         Phrases on posture, ground and rest pose, with their figures.
     """
@@ -88,15 +89,15 @@ def up_axis(positions: Mapping[str, F64], rest: Mapping[str, F64] | None = None)
     Parameters
     ----------
     positions : mapping of str to float64 array (3, K)
-        Any of the 24 named joints, in K sampled frames, in any unit and axes; NaN where a joint is not seen. Head, hips
-        and feet count for posture, all joints for the ground. About 32 frames, spread over the take, are enough.
+        Any of the 24 named joints, in K sampled frames, in any unit and axes; NaN if a joint is not seen. Head, hips
+        and feet are used for posture, and all joints for the ground. About 32 frames, spread over the take, suffice.
     rest : mapping of str to float64 array (3,), optional
         The same joints in the rest pose of the skeleton, if the file has one.
 
     Returns
     -------
     UpAxis
-        Axis, confidence and reasons. A body without hips and one end (head or feet) is undecided.
+        Axis, confidence and reasons. The result is undecided for a body without hips, or without both head and feet.
     """
     hips, head, feet = (_pair(positions, choices) for choices in (HIPS, HEADS, FEET))
     if not len(hips) or not (len(head) or len(feet)):
@@ -134,21 +135,21 @@ def _pair(positions: Mapping[str, F64], choices: tuple[tuple[str, ...], ...]) ->
 
 
 def _standing(rest: Mapping[str, F64]) -> F64:
-    """Return how upright the rest pose is along each axis, (6,)."""
+    """Return a score (6,) of how upright the rest pose is along each axis."""
     hips, head, feet = (_pair(rest, choices) for choices in (HIPS, HEADS, FEET))
     return posture_shares(hips, head, feet)[0] if len(hips) and (len(head) or len(feet)) else np.zeros(6)
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def _middle(pair: F64, k: int, t: int) -> float:
-    """Return a coordinate of the midpoint of two joints, or of the one that is known."""
+    """Return a coordinate of the midpoint of two joints, or of the known joint if the other is not known."""
     a, b = pair[0, k, t], pair[1, k, t]
     return b if np.isnan(a) else a if np.isnan(b) else 0.5 * (a + b)
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def posture_shares(hips: F64, head: F64, feet: F64) -> tuple[F64, F64, int]:
-    """Return each axis's share of frames in which the body stands along it, and counts of voting and of seen frames."""
+    """Return for each axis the share of frames with the body standing along it, and counts of used and seen frames."""
     share, stood = np.zeros(6), np.zeros(6)
     seen = 0
     for t in range(hips.shape[2]):
@@ -238,15 +239,16 @@ def least_leads(share: F64, standing: F64, lowest: F64, travel: F64, grounded: b
 
 @dataclass(frozen=True)
 class LeftRight:
-    """The result of the judgement whether the names of a body's sides agree with its geometry.
+    """The agreement between the names of a body's left and right joints and its geometry.
 
     Attributes
     ----------
     legs : float
-        From −1 (left is on the right) to 1 (left is on the left), by toes and knees; NaN without legs.
+        A number from −1 (the legs are exchanged) to 1 (they are not), judged by toes and knees; NaN without legs.
     lines : float
-        The lesser of the mean cosines of the lines through shoulders and through knees with that through the hips:
-        below 0 where one of the pairs is exchanged; NaN without both.
+        The smaller of two mean cosines: between the lines through the shoulders and the hips, and between the lines
+        through the knees and the hips. It is below 0 if one of the pairs is exchanged, and NaN without shoulders and
+        knees.
     reasons : tuple of str
         Phrases with the figures.
     """
@@ -257,7 +259,7 @@ class LeftRight:
 
     @property
     def swapped(self) -> bool:
-        """Return True where the sides are clearly exchanged, of the whole body or of a pair of joints."""
+        """Return whether the sides are clearly exchanged, for the whole body or for a pair of joints."""
         return bool(self.legs < -CLEAR or self.lines < -CLEAR)
 
 
@@ -267,8 +269,8 @@ def left_right(positions: Mapping[str, F64]) -> LeftRight:
     Parameters
     ----------
     positions : mapping of str to float64 array (3, K)
-        Any of the 24 named joints in K sampled frames, in any unit and any right-handed axes; NaN where a joint is not
-        seen. Both hips, and knees and ankles, or ankles and toes with knees, are needed for the legs.
+        Any of the 24 named joints in K sampled frames, in any unit and any right-handed axes; NaN if a joint is not
+        seen. The judgement of the legs needs both hips, knees and ankles; toes are used if they are given.
 
     Returns
     -------
