@@ -10,7 +10,7 @@ PERCENTILE = 90.0
 """The percentile of a pixel's depths over time that is used as the background behind a moving person."""
 
 BEHIND = 0.06, 0.03
-"""A depth is behind the background if it exceeds it by more than the first, in metres, plus the second times itself."""
+"""A depth d is behind the background if it is larger by more than BEHIND[0] + BEHIND[1] · d, in metres."""
 
 PERSON_SHARE = 0.93
 """Factor of the background's depth below which a depth belongs to the person, in any unit."""
@@ -50,17 +50,17 @@ def percentile_depths(images: F32, percentile: float = PERCENTILE) -> F32:
 
 
 def behind_share(image: F32, background: F32) -> float:
-    """Return the fraction of pixels farther away than the background; only a moved camera makes it large, not a person.
+    """Return the fraction of pixels behind the background; it is large only if the camera moved, not for a person.
 
     Parameters
     ----------
     image, background : float32 array (H, W)
-        Depths in metres; pixels that are 0 in one of them do not count.
+        Depths in metres; pixels that are 0 in either image are ignored.
 
     Returns
     -------
     float
-        0 to 1; 0 where no pixel is measured in both.
+        A number from 0 to 1; 0 if no pixel is measured in both images.
     """
     both = (image > 0) & (background > 0)
     count = int(both.sum())
@@ -71,14 +71,14 @@ def behind_share(image: F32, background: F32) -> float:
 
 
 def person_extent(image: F32, background: F32 | None, rays: F64) -> tuple[float, float] | None:
-    """Return the distance and the size of whatever stands in front of the background.
+    """Return the distance and the size of the person or object in front of the background.
 
     Parameters
     ----------
     image : float32 array (H, W)
         Depths; 0 where nothing was measured.
     background : float32 array (H, W), optional
-        Depths of the empty room; None where every measured pixel belongs to the person.
+        Depths of the empty room; None if every measured pixel belongs to the person.
     rays : float64 array (H, W, 2)
         The rays (a, b, 1) of the pixels.
 

@@ -27,7 +27,7 @@ START, AXIS, INVERSE, RADIUS, GROWTH, MIDDLE, REACH = 0, 3, 6, 7, 8, 9, 12
 COLUMNS = 13
 
 BEHIND = 0.4
-"""A surface point counts as hidden from the camera where the cosine of its normal and the ray exceeds this."""
+"""A surface point faces away from the camera if the cosine of the angle between its normal and the ray exceeds this."""
 
 _SLACK = 1e-9  # tolerance in metres for rounding errors of a bound
 
@@ -40,9 +40,9 @@ class Pivots(NamedTuple):
     joints : int64 array (P,)
         The joint of each pivot; the root first, parents before children.
     parents : int64 array (P,)
-        The parent pivot of each; −1 for the root.
+        The parent pivot of each pivot; −1 for the root.
     starts : int64 array (P + 1,)
-        The range of each pivot in `moved`.
+        Pivot p moves the joints moved[starts[p]] to moved[starts[p + 1] − 1].
     moved : int64 array
         The joints below each pivot.
     """
@@ -114,31 +114,31 @@ class ConeBody:
     Attributes
     ----------
     name : str
-        Its name.
+        The name of the body.
     cone_names : tuple of str
         The names of the C cones.
     joints : int64 array (C, 2, M)
-        The joints that each end of a cone's axis is a mixture of.
+        The joints whose weighted mean is each end of a cone's axis.
     shares : float64 array (C, 2, M)
-        Their shares, which add up to 1; 0 beyond an end's joints.
+        The weights of these joints, which add up to 1; 0 for unused entries of `joints`.
     radii : float64 array (C, 2)
         Radii at both ends in metres, for a body that is `height_m` high.
     height_m : float
         The standing height in metres of the body that has these radii.
     height_bones : float64 array (24,)
-        Factors of the bone lengths in the standing height.
+        Factors of the bone lengths in the standing height, which is a weighted sum of bone lengths plus a constant.
     height_plus_m : float
-        Metres that the standing height has beyond them.
+        The constant of that sum in metres.
     sample_cones : int64 array (S,)
         The cone of each sample of the surface.
     sample_places : float64 array (S,)
-        Its place on the axis, from 0 to 1.
+        The position of each sample on the axis of its cone, from 0 to 1.
     sample_angles : float64 array (S,)
-        Its angle about the axis in radians, from the side towards the camera.
+        The angle of each sample about the axis in radians, from the side towards the camera.
     pivots : int64 array (P,)
-        The joints that turn what is below them; the root first, parents before children.
+        The joints about which all joints below them rotate; the root first, parents before children.
     stiffness : float64 array (P,)
-        How strongly each pivot is damped in a step of a fit.
+        The damping of each pivot in a step of a fit.
     """
 
     name: str
@@ -210,9 +210,9 @@ class SurfaceDistances(NamedTuple):
     d : float64 array (n,)
         Signed distances in metres, negative inside.
     cone : int64 array (n,)
-        The nearest cone; the first one of equals.
+        The nearest cone of each point; the first of equally near cones.
     s : float64 array (n,)
-        The place on its axis, from 0 to 1.
+        The position on the cone's axis, from 0 to 1.
     normals : float64 array (n, 3)
         Unit vectors from the axis to the point; 0 on the axis.
     """
@@ -235,12 +235,12 @@ def body_distance(body: ConeBody, pose: F64, points: F64, height: float | None =
     points : float64 array (n, 3)
         Points in metres.
     height : float, optional
-        The actor's standing height in metres; that of the body's radii by default.
+        The actor's standing height in metres; by default the height for which the body's radii are given.
 
     Returns
     -------
     SurfaceDistances
-        The nearest places.
+        The signed distances, and the nearest cone of each point.
     """
     cones = body.cones(body.height_m if height is None else height)
     placed = np.empty((len(cones.radii), COLUMNS))
@@ -281,7 +281,7 @@ def place_cones(cones: Cones, pose: F64, placed: F64) -> None:
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def cone_distance(cone: F64, x: float, y: float, z: float) -> tuple[float, float]:
-    """Return the signed distance of a point from one placed cone, and the place on its axis."""
+    """Return the signed distance of a point from a placed cone, and the nearest position on the cone's axis."""
     u, v, w = x - cone[START], y - cone[START + 1], z - cone[START + 2]
     a, b, c = cone[AXIS], cone[AXIS + 1], cone[AXIS + 2]
     s = min(max((u * a + v * b + w * c) * cone[INVERSE], 0.0), 1.0)
@@ -291,7 +291,7 @@ def cone_distance(cone: F64, x: float, y: float, z: float) -> tuple[float, float
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def nearest_cone(placed: F64, x: float, y: float, z: float, guess: int) -> tuple[float, int, float]:
-    """Return the signed distance of a point from the body, the nearest cone and the place on its axis.
+    """Return the signed distance of a point from the body, the nearest cone and the position on its axis.
 
     Parameters
     ----------
@@ -300,12 +300,12 @@ def nearest_cone(placed: F64, x: float, y: float, z: float, guess: int) -> tuple
     x, y, z : float
         The point in metres.
     guess : int
-        A cone that is probably near: most others are then excluded by the balls around them.
+        A cone that is probably near, so that the bounding balls of most other cones exclude them at once.
 
     Returns
     -------
     tuple of (float, int, float)
-        Metres, negative inside; the first one of equally near cones; from 0 to 1.
+        The distance in metres, negative inside; the cone, the first of equally near ones; the position from 0 to 1.
     """
     nearest = guess
     d, s = cone_distance(placed[guess], x, y, z)
@@ -323,18 +323,18 @@ def nearest_cone(placed: F64, x: float, y: float, z: float, guess: int) -> tuple
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def seen_side(cone: F64, s: float, x: float, y: float, z: float) -> tuple[float, float, float, float]:
-    """Return the normal of a cone on the side that the camera at the origin can see, and a point's distance from there.
+    """Return the normal of a cone on the side that the camera at the origin can see, and a point's distance to it.
 
-    The nearest point of the surface may face away from the camera, where no depth pixel can come from: a shank slightly
-    in front of its points would be fitted to them with its calf. In this case the side towards the camera is used, and
-    the point lies behind it.
+    The nearest point of the surface may face away from the camera, so that no pixel can show it: a shank slightly in
+    front of its points would be fitted to them with its calf. In this case the side towards the camera is used instead,
+    and the point lies behind it.
 
     Parameters
     ----------
     cone : float64 array (13,)
         A placed cone.
     s : float
-        The place on its axis that is nearest to the point.
+        The position on the axis that is nearest to the point.
     x, y, z : float
         The point in metres.
 

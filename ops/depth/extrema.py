@@ -1,10 +1,10 @@
 """This module finds geodesic extrema, the points farthest along the body, one after the other (thesis, Algorithm 4).
 
-The first is the node farthest from the source. Each found node becomes a further source, and the next extremum is the
-node farthest from all of them. The distances of one step are those of the step before, made smaller around the new
-source: the search is continued, and visits only nodes that come nearer. Nodes wait in buckets of about equal distance
-(Dial, 1969) instead of a heap, in a third of the time. The distances are those of Dijkstra's algorithm started from all
-sources, to the last bit: each is the smallest sum over its neighbours in any order of visits.
+The first extremum is the node farthest from the source. Each extremum becomes a further source, and the next extremum
+is the node farthest from all sources. A step starts from the distances of the previous step and reduces them around the
+new source, so that it visits only nodes whose distance decreases. Nodes wait in buckets of about equal distance (Dial,
+1969) instead of a heap, which takes a third of the time. The results equal those of Dijkstra's algorithm started from
+all sources, to the last bit, because the distance of a node is the minimum of the same sums in any order of visits.
 """
 
 from __future__ import annotations
@@ -21,17 +21,17 @@ from kinedex.ops.depth.points import FrameCloud
 from kinedex.ops.errors import ParameterError
 
 SOURCE_DROP_M = 0.2
-"""Distance in metres by which the mean of the points is lowered; the source is the node nearest to it."""
+"""Distance in metres by which the mean of the points is lowered; the source is the node nearest to the lowered mean."""
 
 COUNT = 20
 """The number of extrema (thesis, Section 8.4.4)."""
 
 TIP_M = 0.15
-"""Radius in metres around an extremum that must hold no node farther from the source, for it to be the tip of a limb.
+"""Radius in metres; an extremum is the tip of a limb if no node within this radius is farther from the source.
 """
 
 BUCKET_M, BUCKETS = 0.01, 128
-"""Width of a bucket of distances, and their number, a power of two; all together are longer than the longest edge."""
+"""Width of a bucket of distances, and the number of buckets, a power of two; their product exceeds the longest edge."""
 
 
 class Extrema(NamedTuple):
@@ -42,9 +42,9 @@ class Extrema(NamedTuple):
     nodes : int32 array (m,)
         The nodes.
     distances : float64 array (m,)
-        The distance of each to the source and all earlier extrema, along the edges, in metres.
+        The distance of each extremum to the source and all earlier extrema, along the edges, in metres.
     visited : int32 array (m,)
-        The number of nodes that the search before each of them has visited.
+        The number of nodes that were visited to find each extremum.
     """
 
     nodes: I32
@@ -62,11 +62,11 @@ class ExtremaBuffers(NamedTuple):
     firsts : int32 array (BUCKETS,)
         The first node of each bucket; −1 for an empty one.
     after, before : int32 array (N,)
-        The node that follows each one in its bucket, and the one before it; −1 where there is none.
+        The next and the previous node of each node in its bucket; −1 if there is none.
     buckets : int32 array (N,)
-        The bucket of each node; −1 for nodes in none.
+        The bucket of each node; −1 for nodes in no bucket.
     changed : int32 array (N,)
-        The last search in which each node came nearer.
+        The last search in which the distance of each node decreased.
     from_source : float64 array (N,)
         The distance of each node to the source alone.
     """
@@ -101,14 +101,14 @@ def find_source(cloud: FrameCloud, graph: PointGraph, drop: float = SOURCE_DROP_
     cloud : FrameCloud
         The points.
     graph : PointGraph
-        Their graph.
+        The graph of the points.
     drop : float
-        The distance that the mean is lowered by, along Y, in metres; 0 for the printed form.
+        The distance in metres by which the mean is lowered along Y; 0 for the form printed in the thesis.
 
     Returns
     -------
     int
-        The node, ties to the lowest; −1 without a body.
+        The node, the one of lowest index in a tie; −1 without a body.
     """
     return int(_nearest_to_mean(cloud.points, graph.body, drop))
 
@@ -132,7 +132,7 @@ def geodesic_extrema(
     Returns
     -------
     Extrema
-        The extrema, ties in distance to the lowest node; only nodes that the source reaches.
+        The extrema, all of them connected to the source; in a tie of distances, the node of lowest index is chosen.
 
     Raises
     ------
@@ -150,26 +150,26 @@ def geodesic_extrema(
 
 
 def tips_first(cloud: FrameCloud, graph: PointGraph, extrema: Extrema, buffers: ExtremaBuffers) -> Extrema:
-    """Return the extrema reordered: first the tips of limbs, then the others, each group in its former order.
+    """Reorder extrema so that the tips of limbs come first, and keep the order among tips and among the others.
 
-    At a tip, no point that is connected to it within 0.15 m is farther from the source. Where a hand hangs at the hip,
-    a knee or a shoulder may be among the first five extrema, but it is rarely a tip.
+    An extremum is a tip if no point that is connected to it within `TIP_M` is farther from the source. If a hand hangs
+    beside the hip, a knee or a shoulder may be among the first five extrema, but these are rarely tips.
 
     Parameters
     ----------
     cloud : FrameCloud
         The points.
     graph : PointGraph
-        Their graph.
+        The graph of the points.
     extrema : Extrema
-        Its extrema.
+        The extrema of the graph.
     buffers : ExtremaBuffers
-        The arrays of the search that found them, not used since.
+        The arrays of the search that found the extrema; no other search may have used them since.
 
     Returns
     -------
     Extrema
-        The same extrema.
+        The same extrema in the new order.
     """
     tips = np.zeros(len(extrema.nodes), np.bool_)
     _find_tips(cloud.points, graph.starts, graph.neighbours, extrema.nodes, buffers, tips)
@@ -264,9 +264,9 @@ def _greatest_finite(values: F64) -> float:
 def _spread(starts: I32, neighbours: I32, lengths: F64, source: int, search: int, buffers: ExtremaBuffers) -> int:
     """Update the distances for an additional source, and return the number of nodes whose distance became less.
 
-    Nodes wait in buckets of distances, each node in one at most, in a ring that is longer than the longest edge. A node
-    that comes nearer while its own bucket is being emptied returns to it, so the result does not depend on the width of
-    a bucket; with edges no shorter than that, each node is visited once.
+    Nodes wait in a ring of buckets of distances, each node in at most one bucket. If the distance of a node decreases
+    while its bucket is being emptied, the node is put into it again, so that the result does not depend on the width of
+    a bucket. If no edge is shorter than a bucket's width, each node is visited once.
     """
     reached, firsts, after, before, buckets = (
         buffers.distances,

@@ -12,10 +12,10 @@ from kinedex.ops.copies import copy_row
 from kinedex.ops.order_statistics import median
 
 SAMPLE = 700
-"""Approximate number of points that are used where not all are needed."""
+"""Approximate number of points of a frame that are sampled to save time."""
 
 WIDTH_M, CLOSE_M, MAX_SHIFTS = 0.25, 1e-3, 8
-"""Bandwidth of the mean shift in metres, the step that ends it, and the most steps."""
+"""Bandwidth of the mean shift in metres, the step length at which it ends, and the maximum number of steps."""
 
 AROUND_M, MIN_POINTS, MIN_HORIZONTAL = 0.15, 20, 0.5
 """Radius around the centre for the plane fit, the least number of points, and the least horizontal part of its normal.
@@ -56,14 +56,15 @@ def facing_from_points(points: F64, centre: F64, facing: F64) -> F64:
     points : float64 array (n, 3)
         All points of the frame, in metres.
     centre : float64 array (3,)
-        Their centre, see `point_centre`.
+        The centre of the points, see `point_centre`.
     facing : float64 array (3,)
-        The direction before: horizontal, of length 1; (0, 0, 1), towards the camera, at the start.
+        The direction in the previous frame, a horizontal unit vector; in the first frame (0, 0, 1), towards the camera.
 
     Returns
     -------
     float64 array (3,)
-        The direction, horizontal, of length 1; as before where the plane has too few points or lies too flat.
+        The direction, a horizontal unit vector. It equals the previous direction if the plane has too few points or is
+        nearly horizontal.
     """
     result = np.empty(3)
     _face(np.ascontiguousarray(points), centre, facing, result)

@@ -1,6 +1,6 @@
 """This module finds the floor of an empty room: the largest nearly level plane below the camera.
 
-Axes are x right, y up and z to the rear, with the camera at the origin, before any rotation.
+Points have the axes x right, y up and z backward, with the camera at the origin and not yet rotated upright.
 """
 
 from __future__ import annotations
@@ -40,9 +40,9 @@ class Floor(NamedTuple):
     normal : float64 array (3,)
         The unit vector that points upwards.
     height : float
-        Where the floor lies along it: minus the height of the camera above the floor, in metres.
+        The coordinate of the floor along the normal in metres, which is minus the height of the camera above the floor.
     share : float
-        The fraction of the points that belong to it.
+        The fraction of the points that belong to the floor.
     """
 
     normal: F64
@@ -59,21 +59,22 @@ def find_floor(points: npt.ArrayLike, up: npt.ArrayLike | None = None, seed: int
     Parameters
     ----------
     points : float64 array (n, 3)
-        Points of the empty room in metres; rows that are not finite do not count.
+        Points of the empty room in metres; rows that are not finite are ignored.
     up : float64 array (3,), optional
-        A vector that points upwards, which the normal differs from by 5° at most; None allows 45° from (0, 1, 0).
+        A vector that points upwards; the normal may deviate from it by at most 5°. Without it, the normal may deviate
+        from (0, 1, 0) by at most 45°.
     seed : int, optional
-        Seed of the triples.
+        Seed of the random triples.
 
     Returns
     -------
     Floor, optional
-        The floor; None where no plane has 15 % of the points.
+        The floor; None if no plane has at least 15 % of the points.
 
     Raises
     ------
     ParameterError
-        `points` has another shape, or `up` no direction.
+        `points` has another shape, or `up` is 0 or not finite.
     """
     positions = np.asarray(points, np.float64)
     if positions.ndim != 2 or positions.shape[1] != 3:
@@ -105,7 +106,7 @@ def find_floor(points: npt.ArrayLike, up: npt.ArrayLike | None = None, seed: int
 
 
 def admissible_planes(points: F64, up: F64, least: float, seed: int) -> tuple[F64, F64]:
-    """Return the planes through random triples of points that lie below the origin and are about level.
+    """Return planes through random triples of points, only those that lie below the origin and are about level.
 
     Parameters
     ----------
@@ -121,9 +122,9 @@ def admissible_planes(points: F64, up: F64, least: float, seed: int) -> tuple[F6
     Returns
     -------
     normals : float64 array (k, 3)
-        At most 300 unit vectors; fewer where 30,000 triples do not give as many.
+        At most 300 unit vectors; fewer if 30,000 triples do not give as many.
     heights : float64 array (k,)
-        Where the planes lie along them, below 0.
+        The coordinates of the planes along their normals, below 0.
     """
     triples = np.random.default_rng(seed).integers(0, len(points), (_MAX_DRAWN, 3))
     a, b, c = (points[triples[:, k]] for k in range(3))
@@ -138,7 +139,7 @@ def admissible_planes(points: F64, up: F64, least: float, seed: int) -> tuple[F6
 
 
 def fitted_plane(points: F64, up: F64) -> tuple[F64, float]:
-    """Return normal and height of the least-squares plane through points (n, 3); the normal is turned to `up`."""
+    """Return normal and height of the least-squares plane of points (n, 3); the normal points to the side of `up`."""
     middle = points.mean(axis=0)
     offsets = points - middle
     normal: F64 = np.linalg.eigh(offsets.T @ offsets)[1][:, 0]
@@ -153,12 +154,12 @@ def upright_rotation(up: npt.ArrayLike) -> F64:
     Parameters
     ----------
     up : float64 array (3,)
-        The direction; one that points straight down is turned about the x axis.
+        The direction; if it points straight down, the rotation is about the x axis.
 
     Raises
     ------
     ParameterError
-        It has no direction.
+        The vector is 0 or not finite.
     """
     x, y, z = _unit(up)
     aside = x * x + z * z

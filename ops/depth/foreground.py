@@ -1,9 +1,9 @@
 """This module finds the foreground of a depth image and removes its noise (thesis, Section 8.3.1).
 
-A pixel is foreground if its depth z is above `near`, below `far` and below a limit that background and floor set. Each
-of these conditions holds up to one depth and fails beyond it, so one table of limits, exact to the last bit, stands for
-all of them. The remaining pixels are filtered in windows of 3 × 3: contours and flying pixels are removed, and the
-others get the median of their window.
+A pixel is foreground if its depth z is above `near`, below `far`, in front of the background and above the floor. The
+last three conditions hold up to a certain depth and fail beyond it. They are therefore combined into a table with one
+limit for each pixel, which is exact to the last bit. The foreground pixels are then filtered in windows of 3 × 3:
+contours and flying pixels are removed, and the other pixels get the median of their window.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ NEAR_M, FAR_M = 0.4, 8.0
 """Minimum and maximum depth of the foreground, in metres."""
 
 BEFORE_BACKGROUND, BEFORE_BACKGROUND_SHARE = 0.06, 0.015
-"""A foreground pixel is nearer than the background by more than the first, in metres, plus the second times its depth.
+"""A pixel of depth z is foreground only if it is nearer than the background by more than the first plus z · the second.
 """
 
 ABOVE_FLOOR_M = 0.01
@@ -40,15 +40,15 @@ class PointArrays(NamedTuple):
     directions : float64 array (h, w, 3)
         The point (x, y, 1) on the ray of each pixel.
     points : float64 array (h · w, 3)
-        The place of each point in metres.
+        The position of each point in metres.
     pixels : int32 array (h · w, 2)
-        Its column and row.
+        The column and row of each point.
     numbers : int32 array (h, w)
-        The point of each pixel; −1 where there is none.
+        The index of the point of each pixel; −1 for a pixel without a point.
     depth : float32 array (h, w)
-        The cleaned depths.
+        The filtered depths.
     box : int64 array (4,)
-        First column, first row, and the column and row after the last, of all points.
+        The bounding box of all points: first column, first row, and the column and the row after the last.
     """
 
     directions: F64
@@ -60,23 +60,23 @@ class PointArrays(NamedTuple):
 
 
 def depth_limits(background: F32 | None, rises: F64, floor_height: float | None, far: float) -> F32:
-    """Return for each pixel the smallest depth that does not belong to the foreground any more.
+    """Return for each pixel the smallest depth that no longer belongs to the foreground.
 
     Parameters
     ----------
     background : float32 array (h, w), optional
         Depths of the empty scene in metres; 0 where nothing was measured.
     rises : float64 array (h, w)
-        The Y of each pixel's ray at z = 1.
+        The Y coordinate of each pixel's ray at z = 1.
     floor_height : float, optional
-        The floor's Y in metres.
+        The Y coordinate of the floor in metres.
     far : float
-        The greatest depth in metres.
+        The largest depth in metres.
 
     Returns
     -------
     float32 array (h, w)
-        Depths below it pass, and all others fail, with the conditions evaluated in float64.
+        The limits: exactly the depths below them meet the conditions, evaluated in float64.
     """
     limits = np.full(rises.shape, far)
     if floor_height is not None:
@@ -90,7 +90,7 @@ def depth_limits(background: F32 | None, rises: F64, floor_height: float | None,
         return is_foreground(z, background, rises, floor_height, far)
 
     bound = np.maximum(limits, 0.0).astype(np.float32)
-    for _ in range(64):  # rounding has moved it by a few steps of float32 at most
+    for _ in range(64):  # rounding has moved the limit by a few steps of float32 at most
         above = np.nextafter(bound, np.float32(np.inf))
         below = np.nextafter(bound, np.float32(0.0))
         moved = np.where(passes(bound), above, np.where((bound > 0) & ~passes(below), below, bound))
@@ -113,7 +113,7 @@ def is_foreground(z: F32, background: F32 | None, rises: F64, floor_height: floa
 
 
 def float32_below(value: float) -> np.float32:
-    """Return the greatest float32 that is not above a number."""
+    """Return the largest float32 that is not above a number."""
     rounded = np.float32(value)
     return rounded if float(rounded) <= value else np.nextafter(rounded, np.float32(-np.inf))
 
@@ -129,11 +129,11 @@ def find_foreground(image: F32, limits: F32, near: np.float32, foreground: F32, 
     limits : float32 array (h, w)
         See `depth_limits`.
     near : float32
-        Foreground is farther than this, in metres.
+        Depth in metres above which a pixel can be foreground.
     foreground : float32 array (h + 2, w + 2)
-        Receives the foreground's depths, 0 elsewhere, within a border of zeros.
+        Output: the depths of the foreground, 0 elsewhere, with a border of zeros.
     runs : int64 array (h, 2)
-        Receives the first foreground column of each row, and the one after the last.
+        Output: the first foreground column of each row, and the column after the last.
 
     Returns
     -------
@@ -164,7 +164,7 @@ def find_foreground(image: F32, limits: F32, near: np.float32, foreground: F32, 
 
 @njit(cache=True, nogil=True)
 def remove_noise(foreground: F32, runs: I64, rows: F32, found: PointArrays) -> int:
-    """Clear the former frame's box, number the pixels that are kept, set the new box, and return their count.
+    """Filter the foreground of a frame and write its points; return their number.
 
     Parameters
     ----------
@@ -175,7 +175,7 @@ def remove_noise(foreground: F32, runs: I64, rows: F32, found: PointArrays) -> i
     rows : float32 array (5, w + 2)
         Work memory for the sorted columns and the medians of a row.
     found : PointArrays
-        Receives the points.
+        The arrays to write; the pixels of the previous frame, within its box, are cleared first.
 
     Returns
     -------
@@ -268,7 +268,7 @@ def _medians(lows: F32, middles: F32, highs: F32, medians: F32) -> None:
 
 @njit(cache=True, nogil=True)
 def _sixth(above: F32, here: F32, below: F32, i: int) -> np.float32:
-    """Return the sixth smallest value of a 3 × 3 window, the lower median of its six or seven depths after zeros."""
+    """Return the sixth smallest value of a 3 × 3 window; with two or three zeros, the lower median of the others."""
     first = second = third = fourth = np.float32(-1.0)  # the four greatest, descending
     for row in (above, here, below):
         for k in range(3):

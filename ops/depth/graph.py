@@ -1,14 +1,13 @@
 """This module builds the graph of a frame's points: edges, components, and links (thesis, Section 8.4.2).
 
-Two points are joined if their pixels are adjacent (8-neighbours) and they lie closer than a threshold. Small components
-are noise. The largest one is the body; the others join it one by one, always the nearest next, by an edge between the
-closest pair of points. Several people in a frame are separated by these components, so that the points of one of them
-can be tracked.
+Two points are joined by an edge if their pixels are adjacent (8-neighbours) and their distance is below a threshold.
+Small connected components are dropped as noise. The largest component is the body. The others are linked to the body
+one by one, the nearest first, by an edge between the closest pair of points. If a frame shows several people, the
+components separate them, so that one person can be tracked.
 
-The components are linked by edges between the closest pairs of points. The nodes of a component are gathered in blocks:
-tiles of 8 × 8 pixels, with the box in space that holds their points. The computed distance to a box is never above the
-computed distance to a point in it, even with rounding errors. So blocks farther than the closest pair so far are
-skipped, and the result is exact.
+To find the closest pairs, the nodes of a component are gathered in blocks, tiles of 8 × 8 pixels with a bounding box in
+space. The computed distance to a box is never above the computed distance to a point in it, even with rounding errors.
+Therefore blocks farther away than the closest pair so far can be skipped, and the result is exact.
 """
 
 from __future__ import annotations
@@ -23,7 +22,7 @@ from kinedex.ops.copies import copy_row
 from kinedex.ops.depth.points import FrameCloud
 
 MAX_LINK_M = 0.5
-"""Greatest distance in metres from the body at which a component still belongs to it."""
+"""Largest distance in metres from the body at which a component still belongs to the body."""
 
 TILE_BITS = 3
 """Base-2 logarithm of a block's width and height in pixels."""
@@ -36,7 +35,7 @@ EDGE_M = 0.06
 """Distance in metres below which neighbouring points are joined by an edge."""
 
 FINE_EDGE_M, EDGE_PER_STEP = 0.043, 0.7
-"""The threshold for a sensor of fine depth steps, and its growth per metre of a frame's depth step, up to `EDGE_M`."""
+"""The edge threshold without a depth step, in metres, and its increase per metre of depth step, up to `EDGE_M`."""
 
 STEP_SHARE, STEP_BIN_M, STEP_BINS = 0.2, 0.001, 64
 """The quantile of depth differences that is a frame's depth step, and the width and number of its histogram bins."""
@@ -45,7 +44,7 @@ MIN_NODES = 12
 """Minimum number of nodes of a component that is kept."""
 
 FORWARD = 4
-"""Number of neighbours of a pixel that follow it row by row: right, and three below."""
+"""Number of a pixel's neighbours that come after it in row-major order: the right one and the three below."""
 
 PERSON_POINTS, APART_M = 500, 0.3
 """Two components with more points than the first, and farther apart in metres than the second, are two people."""
@@ -65,9 +64,9 @@ class LinkBuffers(NamedTuple):
     boxes : float64 array (N, 2, 3)
         The minimum and maximum coordinates of each block.
     squares : float64 array (K,)
-        The squared distance of each component to the components linked so far (the body).
+        The squared distance of each component to the body, that is, to the components linked so far.
     closest : int32 array (K, 2)
-        For each component the closest pair of nodes: one of the body, one of the component.
+        For each component the closest pair of nodes, of which the first belongs to the body.
     joined : bool array (K,)
         True for components that are linked to the body.
     pairs, spans : int32 array (K, 2), float64 array (K,)
@@ -113,19 +112,19 @@ def link_components(
     Parameters
     ----------
     points : float64 array (n, 3)
-        Places in metres.
+        Positions in metres.
     pixels : int32 array (n, 2)
-        Column and row of each.
+        Column and row of each point.
     labels : int32 array (N,)
         The component of each point; −1 for none.
     sizes : int32 array (N,)
         The number of points of each component.
     components : int
-        Their number.
+        The number of components.
     body : bool array (N,)
-        Out: True for points of the body.
+        Output: True for points of the body.
     buffers : LinkBuffers
-        Out: the links in `pairs` and `spans`.
+        Output: the links in `pairs` and `spans`.
 
     Returns
     -------
@@ -281,15 +280,15 @@ class PointGraph(NamedTuple):
     Attributes
     ----------
     starts : int32 array (n + 1,)
-        Where the edges of each node begin in the two arrays that follow.
+        The edges of node i are starts[i] to starts[i + 1] − 1 in the next two arrays.
     neighbours : int32 array (m,)
         The other node of each edge; every edge is stored for both of its nodes.
     lengths : float64 array (m,)
         The lengths of the edges in metres.
     body : bool array (n,)
-        True for nodes of the body: its largest component, and those that links join to it.
+        True for nodes of the body: those of the largest component, and of components that are linked to it.
     labels : int32 array (n,)
-        The component of each node, numbered by the lowest node; −1 for components that were dropped.
+        The component of each node; −1 for a component that was dropped. Components are numbered by their lowest node.
     components : int
         The number of components that were not dropped.
     links : int
@@ -311,9 +310,9 @@ class GraphBuffers(NamedTuple):
     Attributes
     ----------
     starts, cursors, parents, labels : int32 array (N + 1,)
-        The beginnings of edges, the next free place of each node, the parents of union-find, and the components.
+        The first edge of each node, the next free place for an edge, the parents of union-find, and the components.
     ahead, spans : int32 array (N, 4), float64 array (N, 4)
-        The edges of each node with nodes after it.
+        The edges of each node to nodes of higher index: the other node, and the length.
     neighbours, lengths : int32 array (8N + 2 · most links,), float64 array of the same length
         The edges.
     sizes : int32 array (N,)
@@ -359,8 +358,9 @@ def graph_buffers(most: int) -> GraphBuffers:
 def edge_threshold(cloud: FrameCloud) -> float:
     """Return the distance below which neighbouring points of a frame are joined, from its depth step.
 
-    A hand at the hip is about 5 cm in front of it. Where the sensor resolves this, a lower threshold keeps both apart;
-    structured-light sensors have depth steps of 2.6 cm at 3 m, two of which must not cut a limb.
+    A hand beside the hip is about 5 cm in front of it. If the sensor resolves this distance, a lower threshold keeps
+    the hand and the hip apart. Structured-light sensors have depth steps of 2.6 cm at 3 m, and two such steps must not
+    separate parts of a limb.
 
     Parameters
     ----------
@@ -448,7 +448,7 @@ def _root(parents: I32, node: int) -> int:
 def _join_neighbours(
     points: F64, pixels: I32, numbers: I32, threshold: float, ahead: I32, spans: F64, parents: I32
 ) -> None:
-    """Find the edges of each node with nodes after it, and unite their components."""
+    """Find the edges of each node to nodes of higher index, and unite the components of both."""
     height, width = numbers.shape
     most = threshold * threshold * (1.0 + 1e-12)  # with slack, as the exact comparison is made on the distance itself
     for i in range(len(points)):
@@ -498,7 +498,7 @@ def _label_components(n: int, parents: I32, labels: I32, sizes: I32) -> int:
 
 @njit(cache=True, nogil=True)
 def _pack_edges(n: int, links: int, buffers: GraphBuffers) -> None:
-    """Write the edges of all nodes one node after the other, each node's neighbours ascending and its links last."""
+    """Write the edges sorted by node; the neighbours of a node ascend, and its links come last."""
     ahead, starts, cursors, pairs = buffers.ahead, buffers.starts, buffers.cursors, buffers.links.pairs[:links]
     cursors[: n + 1] = 0
     for i in range(n):
@@ -541,12 +541,12 @@ def split_people(cloud: FrameCloud, graph: PointGraph) -> list[I64]:
     cloud : FrameCloud
         The points.
     graph : PointGraph
-        Their graph.
+        The graph of the points.
 
     Returns
     -------
     list of int64 array
-        Ascending indices of points; those of small components belong to the nearest person.
+        Ascending indices of the points of each person; points of small components are assigned to the nearest person.
     """
     sizes = np.bincount(graph.labels[graph.labels >= 0], minlength=graph.components)
     large = np.flatnonzero(sizes > PERSON_POINTS)

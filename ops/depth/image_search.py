@@ -1,7 +1,8 @@
 """This module finds the point of a depth image that corresponds to a sample of the body's surface (thesis, 8.4.1).
 
-A sample is projected into the image; its point is the closest one in a window around the nearest pixel that has a
-point. A sample is hidden where its point lies clearly in front of it on almost the same ray.
+A sample is projected into the image, and the nearest pixel that has a point is found. The corresponding point is the
+closest point in a window around that pixel. The sample is hidden if its point lies clearly in front of it on almost the
+same ray.
 """
 
 from __future__ import annotations
@@ -17,7 +18,7 @@ from kinedex.ops.arrays import F64, I32, I64
 from kinedex.ops.errors import ParameterError
 
 HIDDEN_M, SAME_RAY = 0.12, 0.02
-"""A sample is hidden by a point that is nearer to the camera by the first (m), with x/z and y/z within the second."""
+"""A point hides a sample if it is nearer by the first, in metres, and x/z and y/z differ by at most the second."""
 
 _NEAREST_M = 1e-6  # a depth z in metres; anything nearer counts as behind the camera
 
@@ -30,11 +31,11 @@ class DepthView(NamedTuple):
     matrix : float64 array (3, 3)
         [[fx, skew, cx], [0, fy, cy], [0, 0, 1]] in pixels of the strided image.
     distortion : float64 array (8,)
-        Distortion in OpenCV's order, filled up with 0.
+        Distortion coefficients in OpenCV's order, padded with 0.
     turn : float64 array (3, 3)
-        The rotation that was applied to the camera's own axes (x, −y, −z).
+        The rotation that was applied to the camera's axes (x, −y, −z).
     is_distorted : bool
-        False where all distortion numbers are 0.
+        False if all distortion coefficients are 0.
     """
 
     matrix: F64
@@ -55,9 +56,9 @@ class FrameImage(NamedTuple):
     numbers : int32 array (h, w)
         The point of each pixel; −1 where there is none.
     nearest : int32 array (h, w)
-        The point of the pixel that is nearest to each pixel of the box.
+        For each pixel of the box, the point of the nearest pixel that has a point.
     box : int64 array (4,)
-        First column, first row, and the column and row after the last, of all points.
+        The bounding box of all points: first column, first row, and the column and the row after the last.
     """
 
     points: F64
@@ -70,18 +71,18 @@ class FrameImage(NamedTuple):
 def depth_view(
     matrix: npt.ArrayLike, distortion: npt.ArrayLike = (), turn: npt.ArrayLike | None = None, stride: int = 1
 ) -> DepthView:
-    """Return the camera of a recording in the form that kernels take.
+    """Return the camera of a recording in the form that kernels expect.
 
     Parameters
     ----------
     matrix : float64 array (3, 3)
         [[fx, skew, cx], [0, fy, cy], [0, 0, 1]] in pixels of the whole image.
     distortion : float64 array (0,), (4,), (5,) or (8,), optional
-        Distortion in OpenCV's order.
+        Distortion coefficients in OpenCV's order.
     turn : float64 array (3, 3), optional
-        The rotation that brings the camera's own (x, −y, −z) to axes with +Y up; None for a level camera.
+        The rotation from the camera's axes (x, −y, −z) to axes with +Y up; None for a level camera.
     stride : int, optional
-        The step of rows and columns at which pixels are used.
+        The step between the rows and columns that are used.
 
     Returns
     -------
@@ -121,11 +122,11 @@ def project_samples(view: DepthView, image: FrameImage, samples: F64, seen: F64,
     samples : float64 array (S, 3)
         Samples in metres.
     seen : float64 array (S, 3)
-        Their x/z, y/z and z in the camera's axes, x right, y down, z forward, which are written; z ≤ 0 behind the
-        camera.
+        Output: x/z, y/z and z of each sample in the camera's axes, x right, y down, z forward; z ≤ 0 behind the camera.
     positions : int64 array (S, 3)
-        Column and row of the pixel with a point that is nearest to each one's own pixel, and the larger number of
-        columns or rows between the two, which are written. A sample outside the image counts as at its border.
+        Output: column and row of the pixel with a point that is nearest to the sample's pixel, and the distance between
+        both pixels, as the larger of the differences in columns and rows. A sample outside the image is moved to the
+        border of the image.
     """
     matrix, turn, nearest, pixels = view.matrix, view.turn, image.nearest, image.pixels
     height, width = image.numbers.shape
@@ -170,18 +171,18 @@ def closest_point(points: F64, numbers: I32, left: int, top: int, x: float, y: f
     points : float64 array (n, 3)
         Points in metres.
     numbers : int32 array (h, w)
-        The point of each pixel; −1 where there is none.
+        The index of the point of each pixel; −1 for a pixel without a point.
     left, top : int
         Column and row of the middle of the window.
     x, y, z : float
         The sample in metres.
     reach : int
-        Pixels to each side: 3 for a window of 7 × 7.
+        Half-width of the window in pixels: 3 for a window of 7 × 7.
 
     Returns
     -------
     int
-        The first one of equally close points, row by row; −1 in an empty window.
+        The index of the point, the first in row-major order of equally close points; −1 in an empty window.
     """
     found, least = -1, np.inf
     for q in range(max(top - reach, 0), min(top + reach + 1, numbers.shape[0])):

@@ -1,9 +1,9 @@
 """This module looks up poses by geodesic extrema, without knowing which extremum is which body part (thesis, 8.4.3).
 
-Poses that face other directions than the one assumed so far are proposed, too. Extrema are rotated by the facing
-direction before poses are looked up. If the last pose is wrong, so is its facing direction, and the lookup cannot find
-the right pose. So the first frame tries all directions, two of them with every assignment of end effectors to extrema,
-since a person may lie; later, every third frame tries one more direction, in turn.
+Before the lookup, extrema are rotated by the facing direction. If the last pose is wrong, so is its facing direction,
+and the lookup cannot find the right pose. Therefore poses that face other directions are proposed as well. The first
+frame tries all directions, and for two of them every assignment of end effectors to extrema, because the person may be
+lying. Later, every third frame tries one other direction, the next in `TURNS_DEG`.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ JUMP_M = 0.25
 """Distance in metres; the lowest extrema are tried as feet if one is farther than this from all extrema before."""
 
 MAX_MAPS = 12
-"""Number of assignments, those of smallest sum of distances, that are tried."""
+"""Maximum number of assignments of end effectors to extrema that are tried, in order of their sums of distances."""
 
 NEIGHBOURS = 10
 """Number of poses that are retrieved for each assignment (K)."""
@@ -44,20 +44,20 @@ _FEET = 12  # number of assignments in which the two lowest extrema are the feet
 _EVERY_MAP = np.array([*itertools.permutations(range(len(END_EFFECTORS)))], np.int64)
 
 TURNS_DEG = (90.0, -90.0, 45.0, -45.0, 135.0, -135.0, 180.0)
-"""Angles in degrees by which the facing direction is rotated, in this order."""
+"""Angles in degrees by which the facing direction is rotated, in the order in which they are tried."""
 
 ALL_MAPS_DEG = (0.0, 180.0)
-"""Rotations in degrees for which the first frame tries all assignments of end effectors to extrema; for the others the
-lowest extrema are the feet.
+"""Rotations in degrees for which the first frame tries all assignments of end effectors to extrema. For other rotations
+the lowest extrema are assumed to be the feet.
 """
 
 TURN_FRAMES = 3
-"""Another direction is tried in one of this many frames."""
+"""Interval in frames at which another direction is tried."""
 
 TURNED_SHARE = 0.85
 """A pose that faces another direction is accepted if it costs less than this share of the local hypothesis.
 
-From behind, a person looks almost as from the front: the costs of both differ by little, and by chance.
+A person looks almost the same from behind and from the front, so that small differences of the costs are due to chance.
 """
 
 
@@ -69,19 +69,20 @@ class Proposals(NamedTuple):
     poses : float64 array (C, 24, 3)
         The poses, placed in the frame, in metres.
     rows : int64 array (C,)
-        Their rows in the database.
+        The rows of the poses in the database.
     costs : float64 array (C,)
-        Their costs (thesis, Eq. 8.6, with root mean squares).
+        The costs of the poses (thesis, Eq. 8.6, with root mean squares).
     ends : float64 array (C,)
-        Root mean square distances of their end effectors from the extrema in metres.
+        Root mean square distances of the end effectors from the extrema in metres.
     origins : int64 array (C,)
-        The map that each was found by.
+        The map by which each pose was found.
     maps : int64 array (M, 5)
         For each map the extremum that is assigned to each of the five end effectors.
     sums : float64 array (M,)
-        For each map the sum of distances from the previous ends in metres; NaN for a map that was not found from them.
+        For each map the sum of distances of the extrema from the previous end effectors in metres; NaN for a map that
+        was found without them.
     rotations : float64 array (C,)
-        The degrees by which the facing direction was turned for each.
+        The angle in degrees by which the facing direction was rotated for each pose.
     """
 
     poses: F64
@@ -108,7 +109,7 @@ class LookupBuffers(NamedTuple):
     placed : float64 array (C, 24, 3)
         The candidates.
     found : int64 array (C, 2)
-        The map and the place among its nearest poses of each candidate.
+        For each candidate the map, and the index among the nearest poses of the map.
     """
 
     maps: I64
@@ -126,11 +127,11 @@ class Lookup:
     Parameters
     ----------
     index : PoseIndex
-        The poses on the bones of the person.
+        The poses of the database, with the bone lengths of the person.
     candidates : int, optional
-        The most candidates of a frame.
+        The maximum number of candidates of a frame.
     among : int, optional
-        The number of first extrema among which end effectors are sought: 6, or 5 as in the thesis.
+        The number of extrema, from the first, among which end effectors are sought; the thesis uses 5.
 
     Raises
     ------
@@ -171,19 +172,19 @@ class Lookup:
         Parameters
         ----------
         extrema : float64 array (N, 3)
-            The geodesic extrema in their order, in metres; with fewer than five there is no proposal.
+            The geodesic extrema in their order, in metres; if there are fewer than five, no pose is proposed.
         centre : float64 array (3,)
             The centre of the points.
         facing : float64 array (3,)
             The horizontal unit direction that the person faces.
         previous : float64 array (24, 3) or None
-            The pose of the frame before; None without one.
+            The pose of the previous frame; None if there is none.
         compare : bool, optional
             False for costs without the distance from the previous pose.
         jumped : bool, optional
-            Try the two lowest extrema as feet, as without a previous pose.
+            True to try also the two lowest extrema as feet, as is done without a previous pose.
         every : bool, optional
-            Try all assignments of the five end effectors to the first five extrema, and no others.
+            True to try all assignments of the five end effectors to the first five extrema, and no others.
         turn_deg : float, optional
             Degrees by which the facing direction is rotated, from Z towards X.
 
@@ -229,7 +230,9 @@ def turned_direction(facing: F64, degrees: float) -> F64:
 
 @nb.njit(cache=True, nogil=True)
 def near_maps(extrema: F64, ends: F64, maps: I64, sums: F64) -> int:
-    """Write the `MAX_MAPS` injective maps of five end effectors to extrema of smallest sum, distances below `NEAR_M`.
+    """Write the injective maps of five end effectors to extrema with the smallest sums of distances.
+
+    At most `MAX_MAPS` maps are written, and all of their distances are below `NEAR_M`.
 
     Parameters
     ----------
@@ -238,9 +241,9 @@ def near_maps(extrema: F64, ends: F64, maps: I64, sums: F64) -> int:
     ends : float64 array (5, 3)
         The previous positions of the end effectors.
     maps : int64 array (M, 5)
-        The maps by their sums; at equal sums by the numbers of their extrema.
+        Output: the maps, ordered by their sums, and for equal sums by the indices of their extrema.
     sums : float64 array (M,)
-        Their sums of distances.
+        Output: the sums of distances.
 
     Returns
     -------
@@ -385,7 +388,7 @@ def propose_start(lookup: Lookup, extrema: F64, centre: F64, facing: F64) -> Pro
     centre : float64 array (3,)
         The centre of the points.
     facing : float64 array (3,)
-        The direction that the person probably faces, which comes first.
+        The direction that the person probably faces, which is tried first.
 
     Returns
     -------
@@ -399,7 +402,7 @@ def propose_start(lookup: Lookup, extrema: F64, centre: F64, facing: F64) -> Pro
 
 
 def add_rotated(proposals: Proposals, lookup: Lookup, extrema: F64, centre: F64, facing: F64, number: int) -> Proposals:
-    """Add the best pose that faces another direction, with the lowest extrema as feet, unless it is a candidate.
+    """Add the best pose that faces another direction, with the lowest extrema as feet, unless its row is a candidate.
 
     Parameters
     ----------
@@ -408,7 +411,7 @@ def add_rotated(proposals: Proposals, lookup: Lookup, extrema: F64, centre: F64,
     lookup, extrema, centre, facing
         See `propose_start`.
     number : int
-        The number of the search: each takes the next one of `TURNS_DEG`.
+        The number of the search, which determines the direction: each search uses the next angle of `TURNS_DEG`.
 
     Returns
     -------
@@ -440,9 +443,9 @@ def best_of_rows(proposals: Proposals, costs: Sequence[float], most: int) -> lis
     proposals : Proposals
         The candidates.
     costs : sequence of float
-        Their costs in the vote.
+        The costs of the candidates in the vote.
     most : int
-        The most candidates.
+        The maximum number of results.
     """
     best: dict[int, int] = {}
     for number in np.argsort(costs, kind="stable").tolist():

@@ -1,6 +1,6 @@
 """This module smooths poses over time by a low-pass filter that preserves bone lengths.
 
-Before that, a forward and a backward track are joined into one, choosing one of them per frame.
+It also joins a forward and a backward track into a single track before smoothing, choosing one of them in every frame.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ from kinedex.ops.errors import ParameterError
 _REACH = 4.0  # standard deviations at which the Gaussian is truncated
 
 CHANGE = 0.5
-"""The cost of a change between the tracks, per metre of their mean distance in the frame after it."""
+"""The cost of a change between the tracks, per metre of their mean distance in the frame after the change."""
 
 _NO_POSE = 1e6  # the cost of a track in a frame in which it has no pose
 
@@ -22,8 +22,8 @@ _NO_POSE = 1e6  # the cost of a track in a frame in which it has no pose
 def low_pass(poses: F64, rate_hz: float, cutoff_hz: float) -> F64:
     """Smooth poses by a Gaussian over time, with zero phase; each bone keeps its length in every frame.
 
-    A motion of the frequency `cutoff_hz` keeps 1/√2 of its amplitude. Frames without a pose stay without, and frames on
-    the far side of such a gap have no weight.
+    A motion of the frequency `cutoff_hz` keeps 1/√2 of its amplitude. Frames without a pose remain without a pose, and
+    no smoothing takes place across such gaps.
 
     Parameters
     ----------
@@ -32,7 +32,7 @@ def low_pass(poses: F64, rate_hz: float, cutoff_hz: float) -> F64:
     rate_hz : float
         Frames per second.
     cutoff_hz : float
-        The frequency that is damped to 1/√2.
+        The frequency in Hz that is damped to 1/√2.
 
     Returns
     -------
@@ -91,14 +91,14 @@ def choose_directions(forward: F64, backward: F64, costs: F64, change: float = C
     forward, backward : float64 array (T, 24, 3)
         The two tracks in metres, both in order of time; NaN where a track has no pose.
     costs : float64 array (T, 2)
-        The cost of each in the vote (`FrameResult`); not used where it has no pose.
+        The cost of each track in the vote (`FrameResult`); ignored in frames in which the track has no pose.
     change : float, optional
         The cost of a change per metre of the mean distance of the joints.
 
     Returns
     -------
     int64 array (T,)
-        0 for forward, 1 for backward; the former at equal sums.
+        0 for the forward track, which is preferred at equal sums, and 1 for the backward track.
 
     Raises
     ------

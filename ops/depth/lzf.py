@@ -1,4 +1,4 @@
-"""This module decompresses LZF, used by point clouds: literal bytes, and copies of earlier bytes."""
+"""This module decompresses LZF, a format of point clouds that consists of literal bytes and copies of earlier bytes."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from kinedex.ops.arrays import U8
 from kinedex.ops.errors import ParameterError
 
 MAX_RATIO = 88
-"""The greatest ratio of expansion: the longest copy takes three bytes and becomes 264."""
+"""Maximum expansion ratio: the instruction for the longest copy takes three bytes and produces 264."""
 
 _TRUNCATED, _TOO_LONG, _TOO_EARLY = -1, -2, -3
 _REASONS = {
@@ -37,8 +37,8 @@ def decompress(data: bytes, size: int) -> U8:
     Raises
     ------
     ParameterError
-        The data are damaged, or unpack to fewer or more bytes. A size that the data cannot reach is rejected before
-        allocating.
+        The data are damaged, or unpack to a different number of bytes. A size that the data cannot expand to is
+        rejected before memory is allocated.
     """
     if not 0 <= size <= MAX_RATIO * len(data):
         raise ParameterError("size", f"0 to {MAX_RATIO * len(data)} for {len(data)} packed bytes", size)

@@ -18,11 +18,11 @@ class NearestBuffers(NamedTuple):
     nearest : int32 array (h, w)
         The nearest point of each pixel of the box.
     box : int64 array (4,)
-        The box that `nearest` was filled in.
+        The box in which `nearest` is filled.
     steps : int32 array (h, w)
-        The rows from each pixel to the nearest point of its column.
+        The number of rows from each pixel to the nearest point in its column.
     hull : float64 array (3, w)
-        The lower envelope of a row: where each part begins, its column and its squared distance.
+        The lower envelope of a row: the start of each of its parts, and the part's column and squared distance.
     """
 
     nearest: I32
@@ -32,22 +32,22 @@ class NearestBuffers(NamedTuple):
 
 
 def nearest_pixels(numbers: I32, box: tuple[int, int, int, int], buffers: NearestBuffers | None = None) -> I32:
-    """Return for each pixel of the box the point of the nearest pixel that has one.
+    """Return for each pixel of the box the point of the nearest pixel that has a point.
 
     Parameters
     ----------
     numbers : int32 array (h, w)
         The point of each pixel; −1 where there is none.
     box : (int, int, int, int)
-        First column, first row, and the column and row after the last, of all points.
+        The bounding box of all points: first column, first row, and the column and the row after the last.
     buffers : NearestBuffers, optional
         Arrays to reuse from earlier frames; None allocates them.
 
     Returns
     -------
     int32 array (h, w)
-        The point, ties to the lowest column, then the lowest row; −1 outside the box, or without points. The next
-        frame of the recording overwrites it.
+        The points; in a tie, that of the lowest column, then of the lowest row; −1 outside the box, or if there are no
+        points. The array is overwritten by the next call with the same buffers.
     """
     buffers = nearest_buffers(numbers.shape) if buffers is None else buffers
     _nearest(numbers, *box, buffers)

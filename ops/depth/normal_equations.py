@@ -1,13 +1,13 @@
 """This module computes JᵀJ and Jᵀr of a pose fit from sums over cones and over the tree of pivots.
 
-A point of a cone's axis moves by dq = t + Σ_k ω_k × a_k, with a displacement t of the whole body and a small rotation
-ω_k of each pivot above the point: a_k = Σ_j w_j (p_j − p_k) over the joints that pivot k moves, with their weights w_j
-in the point.
+A point of a cone's axis moves by dq = t + Σ_k ω_k × a_k. Here t is the displacement of the whole body, and ω_k is a
+small rotation of each pivot k above the point. The lever a_k is Σ_j w_j (p_j − p_k), summed over the joints j that
+pivot k moves, where w_j is the weight of the joint in the point.
 
-Most cones are rigid: one pivot and its ancestors move the whole cone. Their rows are (n, r × n) in the velocity of the
-root's position and the angular velocity, for every point, and are summed by pivot. The sums of a pivot go on to the one
-above it, so the work does not grow with the points. The axis of a blended cone has ends that different pivots move; its
-rows are in the velocity and the angular velocity of both ends.
+Most cones are rigid: one pivot and its ancestors move the whole cone. Each point gives a row (n, r × n) of the Jacobian
+with respect to the velocity of the root and the angular velocity, and these rows are summed by pivot. The sums of a
+pivot are then added to those of its parent, so that this work does not depend on the number of points. The ends of a
+blended cone are moved by different pivots; its rows refer to the velocity and the angular velocity of both ends.
 """
 
 from __future__ import annotations
@@ -27,13 +27,13 @@ class MovingCones(NamedTuple):
     Attributes
     ----------
     rigid : int64 array (C,)
-        The lowest pivot that moves all of a cone; −1 for a blended cone.
+        The lowest pivot that moves the whole cone; −1 for a blended cone.
     blends : int64 array (C,)
-        The number of a blended cone among the B blended ones; −1 for a rigid cone.
+        The index of a blended cone among the B blended cones; −1 for a rigid cone.
     cones : int64 array (B,)
         The blended cones.
     pivots : int64 array (B, K)
-        The pivots that move them, each after those above it; −1 beyond the last.
+        The pivots that move each blended cone, parents before children; −1 for unused entries.
     shares : float64 array (B, K, 2, M)
         The shares of the joints at both ends that each pivot moves; see `ConeBody.joints`.
     """
@@ -69,7 +69,7 @@ class Sums(NamedTuple):
     matrix : float64 array (3 P + 3, 3 P + 3)
         The upper half of JᵀJ: deepest pivots first, t last.
     right : float64 array (3 P + 3,)
-        Jᵀr, in the same order; after `solve` the step.
+        Jᵀr, in the same order; `solve` replaces it by the step.
     """
 
     rigid: F64
@@ -86,8 +86,8 @@ class Sums(NamedTuple):
 def moving_cones(body: ConeBody) -> MovingCones:
     """Return the pivots that move each cone of a body.
 
-    A pivot moves the joints below it. It also turns the end of a cone that lies in its own joint, where it moves the
-    other end.
+    A pivot moves the joints below it. If one end of a cone lies in the pivot's joint and the pivot moves the other end,
+    the pivot also rotates the surface around the first end.
     """
     moved, count = moved_joints(body.pivots), len(body.radii)
     weights = np.zeros((count, len(body.pivots), 2, body.joints.shape[2]))
@@ -146,13 +146,13 @@ def add_rigid_face(
     pivot : int
         The lowest pivot that moves the cone.
     x, y, z : float
-        The place in metres, from the root.
+        The position of the point in metres, relative to the root.
     a, b, c : float
         The unit vector n.
     residual : float
-        Metres.
+        The residual in metres.
     weight : float
-        The weight w of its square.
+        The weight w of the squared residual.
     """
     u, v, w = y * c - z * b, z * a - x * c, x * b - y * a
     row = (a, b, c, u, v, w)
@@ -174,17 +174,17 @@ def add_blended_face(
     Parameters
     ----------
     faces : float64 array (B, 24)
-        The sums, which are added to.
+        The sums, to which the row is added.
     blend : int
-        The number of the cone among the blended ones.
+        The index of the cone among the blended cones.
     s : float
-        The place on its axis, from 0 to 1.
+        The position on the cone's axis, from 0 to 1.
     a, b, c : float
         The unit vector n.
     residual : float
-        Metres.
+        The residual in metres.
     weight : float
-        The weight w of its square.
+        The weight w of the squared residual.
     """
     row = (a, b, c)
     n = 0
@@ -217,7 +217,7 @@ def add_blended_vector(
     x, y, z : float
         The residual in metres.
     weight : float
-        The weight of the square of its length.
+        The weight of the squared length of the residual.
     """
     residual = (x, y, z)
     for i in range(3):
@@ -369,17 +369,17 @@ def _add_blended(moving: MovingCones, joints: I64, pivots: Pivots, pose: F64, b:
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def solve(sums: Sums) -> bool:
-    """Solve JᵀJ x = Jᵀr by Cholesky decomposition; deepest pivots first keeps the factor as sparse as the tree.
+    """Solve JᵀJ x = Jᵀr by Cholesky decomposition; since deeper pivots come first, the factor is as sparse as the tree.
 
     Parameters
     ----------
     sums : Sums
-        `matrix`, whose upper half is overwritten by its factor, and `right`, which becomes the step.
+        The sums of the step: the upper half of `matrix` is overwritten by its factor, and `right` by the step.
 
     Returns
     -------
     bool
-        False where the matrix is not positive definite; the step is undefined then.
+        False if the matrix is not positive definite; the step is then undefined.
     """
     matrix, step = sums.matrix, sums.right
     size = len(step)

@@ -1,6 +1,6 @@
 """This module turns a depth image into the points of the person (thesis, Section 8.3.1).
 
-Points have the axes x right, y up, z backwards, with the camera at the origin, rotated so that +Y is up.
+The axes of points are x right, y up and z backward, with the camera at the origin, after a rotation that makes +Y up.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ from kinedex.ops.depth.nearest_pixels import NearestBuffers, nearest_buffers
 from kinedex.ops.errors import ParameterError
 
 MAX_POINTS = 6000
-"""Maximum number of points of the median frame: the stride is the smallest that does not exceed it."""
+"""Maximum of the median number of points per frame; the smallest stride that does not exceed it is used."""
 
 STRIDE_FRAMES = 10
 """Number of first frames from which the stride is chosen."""
@@ -47,7 +47,8 @@ class FrameCloud(NamedTuple):
     depth : float32 array (h, w)
         The cleaned depths in metres; 0 where there is no point.
     box : (int, int, int, int)
-        First column, first row, and the column and row after the last, of all points; zeros without any.
+        The bounding box of all points: first column, first row, and the column and the row after the last; zeros if
+        there are no points.
     foreground : int
         The number of foreground pixels before cleaning.
     buffers : NearestBuffers, optional
@@ -75,12 +76,12 @@ def ray_table(matrix: npt.ArrayLike, distortion: npt.ArrayLike, size: tuple[int,
     size : (int, int)
         Width and height of the whole image.
     stride : int
-        The step of rows and columns at which pixels are used.
+        The step between the rows and columns that are used.
 
     Returns
     -------
     float64 array (h, w, 2)
-        a and b; NaN for pixels that no ray maps to.
+        a and b of each pixel; NaN for pixels that no ray maps to.
     """
     (fx, skew, cx), (_, fy, cy) = np.asarray(matrix, np.float64)[:2]
     columns, rows = np.meshgrid(np.arange(0, size[0], stride), np.arange(0, size[1], stride))
@@ -96,15 +97,16 @@ class Preparation:
     rays : float64 array (h, w, 2)
         a and b of the pixels of the strided image, see `ray_table`.
     background : float32 array (H, W), optional
-        The empty scene, in metres as the frames are; 0 where nothing was measured. None: there is none.
+        Depths of the empty scene in metres, or distances if the frames hold distances; 0 where nothing was measured.
     turn : float64 array (3, 3), optional
-        The rotation that brings the camera's own (x, −y, −z) to axes with +Y up; None for a level camera.
+        The rotation from the camera's axes (x, −y, −z) to axes with +Y up; None for a level camera.
     floor_height : float, optional
-        The floor's Y after that rotation, in metres: minus the height of the camera; None where it is unknown.
+        The Y coordinate of the floor after that rotation, in metres, which is minus the height of the camera; None if
+        it is unknown.
     near, far : float
-        Depths of the foreground lie between these, in metres.
+        The smallest and the largest depth of the foreground, in metres.
     stride : int
-        The step of rows and columns at which pixels are used.
+        The step between the rows and columns that are used.
     """
 
     def __init__(
@@ -194,13 +196,13 @@ def choose_stride(
     Parameters
     ----------
     images : sequence of float32 array (H, W)
-        The first frames of a recording, in metres; those after the tenth are ignored.
+        The first frames of a recording, in metres; frames after the tenth are ignored.
     matrix, distortion
         The camera, see `ray_table`.
     background, turn, floor_height
         See `Preparation`.
     most : int
-        The greatest number of points.
+        The maximum number of points.
 
     Returns
     -------

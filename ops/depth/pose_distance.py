@@ -1,4 +1,4 @@
-"""This module names the joints by which poses from depth images are compared (thesis, Eq. 8.1), and end effectors."""
+"""This module defines the end effectors, and the joints by which poses from depth images are compared (Eq. 8.1)."""
 
 from __future__ import annotations
 
@@ -10,13 +10,13 @@ from kinedex.ops.arrays import F64, Bool
 from kinedex.ops.body.joint_tree import JOINTS
 
 END_EFFECTORS = np.array([JOINTS.index(name) for name in ("lfingers", "rfingers", "ltoes", "rtoes", "headtop")])
-"""The joints E⁵ of the thesis, 8.3.3: hands, feet, and the top of the head."""
+"""The five end effectors (E⁵ in Section 8.3.3 of the thesis): hands, feet, and the top of the head."""
 
 UNCOMPARED = ("lclavicle", "rclavicle", "belly", "head")
-"""Joints that distances and errors ignore, since for example clavicles coincide with the neck in Acclaim skeletons."""
+"""Joints that distances and errors ignore; for example, clavicles coincide with the neck in Acclaim skeletons."""
 
 COMPARED = np.array([k for k, name in enumerate(JOINTS) if name not in UNCOMPARED])
-"""The indices of the J = 20 joints in distances and errors."""
+"""The indices of the J = 20 joints that distances and errors use."""
 
 
 FOUND_M = 0.2

@@ -1,10 +1,11 @@
 """This module fits a pose to the points of a depth image by Gauss–Newton (thesis, 8.4.1).
 
 The unknowns of a step are a displacement of the body and a small rotation of every pivot. Each image point pulls the
-nearest surface point along its normal, or the side towards the camera where that point faces away; surface samples that
-project outside the foreground are pulled towards it. In the form printed in the thesis, all samples are pulled to their
-points, and there are no other terms. The cost of a pose, by which the vote chooses one of several poses in a frame, is
-computed in the same arrays (thesis, 8.4.4).
+nearest surface point along the surface normal; if this surface point faces away from the camera, the side of the cone
+towards the camera is pulled instead. Surface samples that project outside the foreground are pulled towards the
+foreground. In the form printed in the thesis, all samples are pulled to their points, and there are no other terms.
+
+The module also computes the cost of a pose, by which the tracker chooses between poses in a frame (thesis, 8.4.4).
 """
 
 from __future__ import annotations
@@ -51,10 +52,10 @@ from kinedex.ops.errors import ParameterError
 Form = Literal["best", "printed"]
 
 STEPS, PRINTED_STEPS = 8, 6
-"""Maximum numbers of steps of a fit: of the best form, and of the form printed in the thesis."""
+"""Maximum numbers of steps of a fit, for the best form and for the form printed in the thesis."""
 
 SIGMA_M, RETRIEVED_SIGMA_M = (0.20, 0.05), (0.25, 0.06)
-"""σ of the robust weights at the first and last step in metres: for a fit from the last pose, and from a retrieved one.
+"""σ of the robust weights at the first and last step in metres, for a fit from the last pose and from a retrieved pose.
 """
 
 SAMPLED_POINTS = 700
@@ -70,10 +71,10 @@ WINDOW = 3
 """Half-width in pixels of the window that is searched for the point of a sample."""
 
 MAX_SAMPLE_M, HIDDEN_COST_M, MAX_POINT_M = 0.5, 0.03, 0.15
-"""Upper limits of a sample's cost, of a hidden sample's (its constant cost), and of a point's, in metres."""
+"""In metres: the maximum cost of a sample, the constant cost of a hidden sample, and the maximum cost of a point."""
 
 POINTS_WEIGHT = 2.0
-"""Weight of the points' distance in the cost, which the thesis's cost lacks."""
+"""Weight in the cost of the distance of points from the surface, a term that the cost of the thesis lacks."""
 
 COST_WINDOW = 4
 """Half-width in pixels of the window that is searched for the point of a sample."""
@@ -87,15 +88,15 @@ class FitBuffers(NamedTuple):
     placed : float64 array (C, 13)
         The cones of the pose.
     samples, offsets : float64 array (S, 3)
-        The samples of its surface, and their offsets from the axes.
+        The samples of the pose's surface, and their offsets from the axes.
     seen : float64 array (S, 3)
         The samples in the camera, see `project_samples`.
     positions : int64 array (S, 3)
-        Their pixels in the image.
+        The pixels of the samples, see `project_samples`.
     guesses : int64 array (N,)
-        The cones that were nearest to the sampled points.
+        The cones that were nearest to the sampled points in the previous step.
     rotations : float64 array (P, 3)
-        Turns of the pivots.
+        Rotation vectors of the pivots.
     sums : Sums
         The sums of a step.
     """
@@ -180,13 +181,13 @@ class PoseFit:
         pose : float64 array (24, 3)
             The pose to begin with, in metres.
         steps : int, optional
-            The most steps.
+            The maximum number of steps.
         sigma : tuple of (float, float), optional
-            Scale of the robust weights in metres, in the first and in the last step; geometric between them.
+            Scale σ of the robust weights in metres, in the first and in the last step; interpolated geometrically.
         form : {"best", "printed"}, optional
-            The terms: points to the surface and the silhouette, or samples to points as the thesis has them.
+            "best" fits points to the surface, and the silhouette; "printed" fits samples to points as in the thesis.
         out : float64 array (24, 3), optional
-            Receives the pose; a new array by default.
+            The array to write the fitted pose to; a new array by default.
 
         Returns
         -------
@@ -251,7 +252,7 @@ def add_points(body: FitBody, image: FrameImage, buffers: FitBuffers, pose: F64,
 def add_samples(
     body: FitBody, view: DepthView, image: FrameImage, buffers: FitBuffers, pose: F64, sigma: float, printed: bool
 ) -> None:
-    """Add the rows of surface samples and their points: of samples outside the foreground, or of all samples."""
+    """Add the rows of surface samples outside the foreground, or in the printed form of all surface samples."""
     factor = 1.0 if printed else SILHOUETTE_WEIGHT
     root, rigid = pose[body.pivots.joints[0]], buffers.sums.rigid
     samples, seen, positions = buffers.samples, buffers.seen, buffers.positions
@@ -308,7 +309,7 @@ class PoseCost(NamedTuple):
     Attributes
     ----------
     total : float
-        The sum of the parts; the pose of least total is chosen.
+        The sum of the three parts; the pose with the lowest total is chosen.
     surface : float
         Mean distance of the surface's samples from their points (8.7).
     extrema : float
@@ -333,7 +334,7 @@ def cost_of(fit: PoseFit, pose: F64, extrema: F64, form: Form = "best") -> PoseC
     pose : float64 array (24, 3)
         Joints in metres.
     extrema : float64 array (n, 3)
-        The places of the geodesic extrema in metres; without any, that part is 0.
+        The positions of the geodesic extrema in metres; if there are none, their part of the cost is 0.
     form : {"best", "printed"}, optional
         The terms; "printed", as in the thesis, has no points term.
 

@@ -45,11 +45,11 @@ class PoseTree(NamedTuple):
     features : float32 array (N, 15)
         The end effectors of the poses in the tree's order.
     order : int64 array (N,)
-        The pose of each of them.
+        The row in `poses` of each pose in the tree's order.
     edges : int64 array (nodes, 2)
-        The first place of each node and the one after the last.
+        The half-open range of each node in the tree's order.
     boxes : float32 array (nodes, 2, 15)
-        The least and the greatest features of each node.
+        The minimum and the maximum of the features in each node.
     """
 
     poses: F64
@@ -63,8 +63,8 @@ class PoseTree(NamedTuple):
 class PoseIndex:
     """An index that finds poses by the positions of their five end effectors.
 
-    The tree halves the poses at the median of the widest axis, and keeps the box around each half, so that most of them
-    are never compared. Its results equal those of a full scan, to the bit: ties go to the lowest row.
+    The tree divides the poses at the median of the widest axis, and stores the bounding box of each half, so that most
+    poses are never compared. The results equal those of a full scan, to the bit; in a tie, the lowest row comes first.
 
     Parameters
     ----------
@@ -76,14 +76,14 @@ class PoseIndex:
     poses : float64 array (N, 24, 3)
         The poses.
     features : float32 array (N, 15)
-        Their ends, see `pose_features`.
+        The end effectors of the poses, see `pose_features`.
     tree : PoseTree
         The tree; node n has the children 2n and 2n + 1.
 
     Raises
     ------
     ParameterError
-        There is no pose, or one is not finite.
+        There is no pose, or a pose is not finite.
     """
 
     def __init__(self, poses: F64) -> None:
@@ -119,7 +119,7 @@ class PoseIndex:
         Returns
         -------
         rows : int64 array (Q, K)
-            Rows of the poses, nearest first, K = min(count, N); the lowest row first at equal distances.
+            Rows of the K = min(count, N) nearest poses, nearest first; at equal distances the lowest row comes first.
         distances : float64 array (Q, K)
             Euclidean distances of the features in metres.
         """
@@ -162,7 +162,7 @@ def _halve(features: F32, order: I64, edges: I64, boxes: F32, depth: int) -> Non
 
 @nb.njit(cache=True, nogil=True, error_model="numpy")
 def _square(queries: F32, q: int, features: F32, row: int, most: np.float32) -> np.float32:
-    """Return the squared distance, or a partial sum once that exceeds `most`."""
+    """Return the squared distance, or a partial sum of it that already exceeds `most`."""
     total = np.float32(0.0)
     for k in range(0, 15, 3):
         a = queries[q, k] - features[row, k]

@@ -16,7 +16,7 @@ from kinedex.ops.depth.tracker import Reconstructor, TrackerSettings
 from kinedex.ops.errors import ParameterError
 
 HEIGHTS_M = (1.45, 2.0)
-"""Range of standing heights in metres that is tried in steps of `STEP_M`, and extended if an end fits best."""
+"""Range of standing heights in metres that are tried; it is extended if its lowest or highest height fits best."""
 
 STEP_M = 0.05
 
@@ -35,11 +35,11 @@ class SizeEstimate(NamedTuple):
     height : float
         The standing height in metres.
     bone_lengths : float64 array (24,)
-        The mean bones in proportion to it, in metres.
+        The mean bone lengths, scaled to this height, in metres.
     heights : float64 array (N,)
         The heights that were tried.
     costs : float64 array (N,)
-        The mean cost of the vote at each; infinite where nobody was found.
+        The mean cost of poses at each height; infinite if no person was found.
     """
 
     height: float
@@ -68,11 +68,11 @@ def estimate_size(
     directions : float32 array (N, 24, 3)
         The pose database.
     preparation : Preparation
-        Turns frames into points.
+        The preparation that converts frames to points.
     view : DepthView
         The camera.
     images : sequence of float32 array (H, W)
-        The first frames that show the person, at least one; those after a second are not used.
+        The first frames that show the person, at least one; frames after the first second are not used.
     settings : TrackerSettings, optional
         The settings of the tracker.
 
@@ -115,9 +115,10 @@ def least_height(cost: Callable[[float], float]) -> tuple[float, dict[float, flo
     Returns
     -------
     height : float
-        The vertex of the parabola through the lowest cost and its neighbours; the tried height where there is none.
+        The vertex of the parabola through the lowest cost and its neighbours; if there is no such parabola, the height
+        of the lowest cost.
     tried : dict of float to float
-        Height to cost.
+        A dict from height to cost.
     """
     first, last = (round(height / STEP_M) for height in HEIGHTS_M)
     costs = {step: cost(step * STEP_M) for step in range(first, last + 1)}

@@ -1,4 +1,7 @@
-"""The pose database holds the unit bone directions of an archive's poses, thinned, for bodies of any bone lengths."""
+"""This module thins an archive's poses for the pose database, which stores them as unit directions of bones.
+
+From these directions, poses can be computed for a body with any bone lengths.
+"""
 
 from __future__ import annotations
 
@@ -37,7 +40,7 @@ class ThinnedPoses(NamedTuple):
     rows : int64 array (K,)
         Rows of the kept poses, ascending.
     stands_for : int64 array (T,)
-        For each pose the row of a kept one that is near enough; its own where it was kept.
+        For each pose the row of a kept pose near it, which is the pose's own row if it was kept.
     """
 
     rows: I64
@@ -82,7 +85,7 @@ def place_directions(directions: F32 | F64, bone_lengths: F64) -> F64:
     directions : float array (T, 24, 3)
         Unit directions of bones, see `bone_directions`.
     bone_lengths : float64 array (24,)
-        The lengths of a body's bones in metres; that of the root is ignored.
+        The lengths of a body's bones in metres; the entry of the root is ignored.
 
     Returns
     -------
@@ -123,7 +126,7 @@ def _place(directions: F32 | F64, lengths: F64, parents: I64, poses: F64) -> Non
 def facing_of(pose: F64, facing: F64) -> None:
     """Write the horizontal unit direction (3,) that the chest of a pose (24, 3) faces, or 0 if it has none.
 
-    It is that of ((lshoulder − rshoulder) + (lhip − rhip)) × (neck − root).
+    It is the horizontal part of ((lshoulder − rshoulder) + (lhip − rhip)) × (neck − root), normalised.
     """
     ax = pose[_LSHOULDER, 0] - pose[_RSHOULDER, 0] + pose[_LHIP, 0] - pose[_RHIP, 0]
     ay = pose[_LSHOULDER, 1] - pose[_RSHOULDER, 1] + pose[_LHIP, 1] - pose[_RHIP, 1]
@@ -141,7 +144,7 @@ def facing_of(pose: F64, facing: F64) -> None:
 
 @nb.njit(cache=True, nogil=True)
 def turn_poses(points: F64, sine: float, cosine: float) -> None:
-    """Rotate points (N, 3) in place about the Y axis, by an angle that takes +Z to (sine, 0, cosine)."""
+    """Rotate points (N, 3) in place about the Y axis, by the angle that maps +Z to (sine, 0, cosine)."""
     for j in range(len(points)):
         x, z = points[j, 0], points[j, 2]
         points[j, 0] = cosine * x + sine * z
@@ -156,17 +159,17 @@ class CellTable(NamedTuple):
     axes : float32 array (A, 60)
         The axes of the grid, see `_cell_axes`.
     steps : int64 array (3 ** A, A)
-        The steps to a cell itself and to its neighbours.
+        The offsets from a cell to itself and to its neighbours.
     reach : float
-        The greatest distance of near poses over all compared coordinates, in metres.
+        The largest Euclidean distance of near poses over all compared coordinates, in metres.
     kept : float32 array (N, 60)
-        The kept poses, and free places.
+        The compared coordinates of the kept poses, followed by free rows.
     cells : int64 array (N, A)
-        Their cells.
+        The cells of the kept poses.
     following : int64 array (N,)
-        The kept pose before each one in its slot, −1 for none.
+        The next kept pose in the hash slot of each kept pose, which was added before it; −1 for none.
     heads : int64 array (slots,)
-        The last kept pose of each slot, −1 for none.
+        The kept pose of each hash slot that was added last; −1 for none.
     """
 
     axes: F32
@@ -181,15 +184,15 @@ class CellTable(NamedTuple):
 class PoseThinning:
     """A growing set of poses that keeps a new pose only if no kept pose is near it.
 
-    The kept poses are hashed by grid cells along `_cell_axes`, unit directions in the space of compared joints, so that
-    near poses lie in the same cell or in neighbouring ones.
+    The kept poses are hashed by the cells of a grid, whose axes (`_cell_axes`) are unit directions in the space of
+    compared joints. Near poses lie in the same cell or in neighbouring cells.
 
     Parameters
     ----------
     bone_lengths : float64 array (24,)
         The bone lengths in metres on which poses are compared.
     distance : float
-        Poses are near up to this root mean square over the `COMPARED` joints, in metres.
+        The largest distance of poses that count as near, as a root mean square over the `COMPARED` joints, in metres.
 
     Raises
     ------
@@ -219,7 +222,7 @@ class PoseThinning:
         directions : float32 array (T, 24, 3)
             Unit directions of bones.
         always : bool, optional
-            Keep all of them without comparing, as they are known to differ.
+            True to keep all poses without comparisons, because they are known to differ.
 
         Returns
         -------
@@ -258,8 +261,8 @@ class PoseThinning:
 def thin_poses(directions: F32, bone_lengths: F64, distance: float = DISTANCE_M) -> ThinnedPoses:
     """Drop every pose that is near a pose kept before it (thesis, Section 8.3.3).
 
-    Two poses are near at a root mean square of at most `distance` over the `COMPARED` joints on the same bones; Eq. 8.1
-    prints 1/J instead of 1/√J. Every pose is then near a kept one.
+    Two poses are near if the root mean square distance of the `COMPARED` joints, on the same bones, is at most
+    `distance`; Eq. 8.1 prints 1/J instead of 1/√J. Every pose that is dropped is near a kept pose.
 
     Parameters
     ----------
@@ -268,17 +271,17 @@ def thin_poses(directions: F32, bone_lengths: F64, distance: float = DISTANCE_M)
     bone_lengths : float64 array (24,)
         The archive's mean bone lengths in metres.
     distance : float
-        Metres.
+        The largest distance of near poses in metres.
 
     Returns
     -------
-    Thinned
-        The kept rows, and a kept row for every pose.
+    ThinnedPoses
+        The kept rows, and for every pose the row of a kept pose that represents it.
 
     Raises
     ------
     ParameterError
-        The distance is not positive, or see `place_directions`.
+        The distance is not positive, or an argument is invalid for `place_directions`.
     """
     numbers = PoseThinning(bone_lengths, distance).add(directions)
     _, rows = np.unique(numbers, return_index=True)

@@ -1,6 +1,7 @@
-"""This module tracks a person through depth frames: in each, two hypotheses and a vote (thesis, Section 8.4).
+"""This module tracks a person through depth frames by two hypotheses and a vote in each frame (thesis, Section 8.4).
 
-The pose from which a fit starts is predicted by extrapolating the last movement.
+The local hypothesis is fitted from the previous pose, which is extrapolated by the last movement. The database
+hypothesis is fitted from poses of the database. The vote chooses the hypothesis of lower cost.
 """
 
 from __future__ import annotations
@@ -60,7 +61,7 @@ MIN_POINTS = 200
 """Minimum number of points of a frame that shows a person."""
 
 ABSENT_S, MISSING_S = 0.5, 0.2
-"""Durations in seconds after which the tracker restarts: without a person in view, and with missing frames."""
+"""Durations in seconds after which the tracker restarts, if no person is in view and if frames are missing."""
 
 TRIAL_STEPS = 2
 """Number of steps of the short fit by which candidates are compared."""
@@ -68,7 +69,7 @@ TRIAL_STEPS = 2
 _TOWARDS = np.array([0.0, 0.0, 1.0])  # the assumed facing direction at a start: towards the camera
 
 SHARE = 0.7
-"""Share of the last movement that is extrapolated, chosen on clips of two actors with two cameras."""
+"""Fraction of the last movement by which poses are extrapolated, chosen on clips of two actors with two cameras."""
 
 
 @dataclass(frozen=True)
@@ -80,10 +81,10 @@ class TrackerSettings:
     form : str
         "best", or "printed" for the form printed in the thesis.
     hypotheses : tuple of str
-        The hypotheses to use, of "local" and "database". Without "database", the database only gives the first pose;
-        without "local", candidates are not compared with the previous pose.
+        The hypotheses to use, a subset of "local" and "database". Without "database", the database is only used for the
+        first pose. Without "local", candidates are not compared with the previous pose.
     candidates : int
-        The number of database poses that are tried in a frame, besides one that faces another direction; 1 in the
+        The number of database poses that are tried in a frame, not counting one that faces another direction; 1 in the
         thesis.
     rate_hz : float
         Frames per second.
@@ -91,7 +92,7 @@ class TrackerSettings:
     Raises
     ------
     ParameterError
-        A value is none of these.
+        A setting is invalid.
     """
 
     form: Form = "best"
@@ -126,15 +127,15 @@ class Candidate(NamedTuple):
     Attributes
     ----------
     row : int
-        Its row in the database.
+        The row of the pose in the database.
     lookup_cost : float
-        Its cost in the lookup (thesis, Eq. 8.6).
+        The cost of the pose in the lookup (thesis, Eq. 8.6).
     map : int
-        The map of `Proposals.maps` that it was found by.
+        The map of `Proposals.maps` by which the pose was found.
     cost : float
-        Its cost in the vote after the trial steps; NaN where there was no trial.
+        The cost of the pose in the vote after the trial steps; NaN if it was not tried.
     ends : float
-        The root mean square distance of its ends from the extrema in metres.
+        The root mean square distance of the pose's end effectors from the extrema in metres.
     """
 
     row: int
@@ -154,9 +155,9 @@ class FrameResult(NamedTuple):
     hypothesis : str or None
         The hypothesis that was chosen; None without a person.
     cost_local, cost_database : float
-        Their costs in the vote; NaN for a missing hypothesis.
+        The costs of the two hypotheses in the vote; NaN for a missing hypothesis.
     row : int
-        The row of the database that the database's hypothesis comes from; −1 without one.
+        The row of the database from which the database hypothesis was fitted; −1 without one.
     local, database : float64 array (24, 3) or None
         The two hypotheses.
     extrema : float64 array (20, 3)
@@ -166,25 +167,27 @@ class FrameResult(NamedTuple):
     centre : float64 array (3,)
         The centre of the points.
     points, components, links : int
-        The sizes of the graph.
+        The numbers of points, components and links of the graph.
     maps : int64 array (M, 5)
         The assignments of end effectors to extrema that were tried.
     sums : float64 array (M,)
-        Their sums of distances from the previous end effectors; NaN for maps that were not found from them.
+        For each assignment the sum of distances from the previous end effectors; NaN for an assignment that was found
+        without them.
     candidates : tuple of Candidate
-        The poses that were tried, by their lookup cost, and last the one that faces another direction; at a start the
-        best of those that were tried. Their rows differ.
+        The poses that were tried, ordered by lookup cost, followed by the pose that faces another direction. At a
+        start, only the best poses are included. All poses are different rows of the database.
     unseen : bool array (24,)
         Joints whose cones are nearest to no point.
     started : bool
-        True where there was no previous pose.
+        True if there was no previous pose.
     people : int
-        The number of people in the frame, of whom the one nearest to the last pose is tracked, and at a start the one
-        nearest to the middle of the image.
+        The number of people in the frame. The person nearest to the last pose is tracked, at a start the person nearest
+        to the middle of the image.
     parts : tuple of PoseCost or None
-        The costs of the local hypothesis and of the database's with their parts; None for a missing hypothesis.
+        The costs of the local and of the database hypothesis with their parts; None for a missing hypothesis.
     box : tuple of int
-        The first column and row of the person's pixels, and the column and row after the last, of the strided image.
+        The bounding box of the person in the strided image: first column, first row, and the column and the row after
+        the last.
     """
 
     pose: F64
@@ -228,7 +231,7 @@ class _Scene(NamedTuple):
 
 
 class Reconstructor:
-    """Reconstructs the poses of one person from depth frames, in their order.
+    """Reconstructs the poses of one person from the depth frames of a recording, one after the other.
 
     Parameters
     ----------
@@ -239,11 +242,11 @@ class Reconstructor:
     directions : float32 array (N, 24, 3)
         The pose database: unit directions of bones.
     preparation : Preparation
-        Turns frames into points.
+        The preparation that converts frames to points.
     view : DepthView
-        The camera, with the stride and the turn of the preparation.
+        The camera, with the stride and the rotation of the preparation.
     settings : TrackerSettings, optional
-        The settings.
+        The settings of the tracker.
 
     Raises
     ------
@@ -304,7 +307,7 @@ class Reconstructor:
         Raises
         ------
         ParameterError
-            The image has another size than those that the preparation was made for.
+            The image does not have the size for which the preparation was made.
         """
         cloud = self.preparation.prepare(image)
         self._missing = 0
@@ -361,7 +364,7 @@ class Reconstructor:
         return _Scene(cloud, cloud.points[nodes], centre, self._facing.copy(), *counts)
 
     def _vote(self, scene: _Scene, previous: F64 | None) -> FrameResult:
-        """Fit both hypotheses, and choose the one of lowest cost; the local one at equal costs."""
+        """Fit both hypotheses, and choose the one with the lower cost; at equal costs the local hypothesis."""
         local = database = pose = None
         cost_local = cost_database = np.nan
         parts: list[PoseCost | None] = [None, None]
@@ -392,9 +395,9 @@ class Reconstructor:
         )  # fmt: skip
 
     def _beginning(self, previous: F64, scene: _Scene) -> F64:
-        """Return the initial pose of the local fit: the previous one, or its extrapolation if that costs less.
+        """Return the initial pose of the local fit: the previous pose, or its extrapolation if that has a lower cost.
 
-        In the form printed in the thesis it is the previous one.
+        In the form printed in the thesis, it is always the previous pose.
         """
         if self._before is None or self.settings.is_printed:
             return previous
@@ -402,9 +405,10 @@ class Reconstructor:
         return moved if self._cost(moved, scene).total < self._cost(previous, scene).total else previous
 
     def _propose(self, scene: _Scene, previous: F64 | None) -> Proposals:
-        """Look up poses, also with the lowest extrema as feet after a jump of an extremum, and for another direction.
+        """Look up poses for the current facing direction, and at intervals for another direction.
 
-        In the form printed in the thesis, only for the current facing direction.
+        After a jump of an extremum, the lowest extrema are also tried as feet. In the form printed in the thesis, only
+        the current facing direction is used.
         """
         extrema, centre, facing = scene.extrema, scene.centre, scene.facing
         if previous is None and not self.settings.is_printed:
@@ -427,7 +431,7 @@ class Reconstructor:
     ) -> tuple[tuple[Candidate, ...], int, F64 | None]:
         """Compare proposals by a short fit of two steps, and fit the best one in full.
 
-        Returns the candidates (without a previous pose only the best), the index of the chosen one, and its pose.
+        Return the candidates (without a previous pose only the best), the index of the chosen candidate, and its pose.
         """
         poses, costs = list(proposals.poses), [np.nan] * len(proposals.poses)
         if len(poses) > 1:
@@ -492,7 +496,8 @@ def cone_joints(body: ConeBody) -> Bool:
 def predicted_pose(pose: F64, before: F64, share: float = SHARE) -> F64:
     """Return the extrapolated pose of the next frame; its bones keep their lengths.
 
-    The root continues by a fraction of its last movement, and each bone's direction by that share of its last change.
+    The root moves on by a fraction of its last movement, and the direction of each bone by the same fraction of its
+    last change.
 
     Parameters
     ----------
