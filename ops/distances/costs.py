@@ -27,14 +27,14 @@ _32 = np.uint64(32)
 
 @dataclass(frozen=True)
 class CodedWords:
-    """The words of frames as codes of a vocabulary, so that costs are computed once for each different word.
+    """The words of frames as indices of a vocabulary, so that costs are computed once for each different word.
 
     Parameters
     ----------
     vocabulary : uint64 array (W,)
         The different words in the order of their first occurrence.
     codes : int32 array (L,)
-        For each frame the place of its word in the vocabulary.
+        For each frame the index of its word in the vocabulary.
     """
 
     vocabulary: U64
@@ -45,11 +45,11 @@ class CodedWords:
 
 
 class TemplateColumns(NamedTuple):
-    """The columns of one template, or of several side by side, for kernels that compute local costs.
+    """The columns of one or several templates, for kernels that compute local costs.
 
-    Features are grouped by their weight, into G groups at most; without weights there is one. The cost of a column is
-    the sum over the groups of `group_weights` times the number of bits of the group that a word contradicts, divided by
-    `total_weights`.
+    Features of equal weight form a group. There are at most G groups, and one group if there are no weights. The cost
+    of a column is a sum over the groups, of `group_weights` times the number of the group's bits that a word
+    contradicts, divided by `total_weights`.
 
     Parameters
     ----------
@@ -60,7 +60,7 @@ class TemplateColumns(NamedTuple):
     group_weights : float64 array (G, N)
         The weight of a feature of each group.
     total_weights : float64 array (N,)
-        The weight of all fixed bits, 1 where there is none.
+        The total weight of all fixed bits of each column, 1 for a column without fixed bits.
     """
 
     values: U64
@@ -100,15 +100,15 @@ class Layout:
 
 
 def encode(words: U64, ranges: I64 | None = None) -> CodedWords:
-    """Number the different words of a sequence of frames in the order of their first occurrence.
+    """Replace words by indices of a vocabulary of the different words, in the order of their first occurrence.
 
     Parameters
     ----------
     words : uint64 array (L,)
-        One word a frame; `NO_WORD` where the frame is invalid.
+        One word for each frame; `NO_WORD` if the frame is invalid.
     ranges : int64 array (R, 2), optional
-        Half-open ranges of frames, ascending and disjoint: only these words are numbered, and the other codes are
-        undefined. None: all.
+        Half-open ranges of frames, ascending and disjoint. Only the words in these ranges get codes; the other codes
+        are undefined. None for all frames.
     """
     codes = np.empty(len(words), np.int32)
     whole = np.array([[0, len(words)]], np.int64)
@@ -123,7 +123,7 @@ def encode(words: U64, ranges: I64 | None = None) -> CodedWords:
 
 
 def template_columns(template: QuantisedTemplate) -> TemplateColumns:
-    """Return the columns of one template in the form that kernels take."""
+    """Return the columns of one template in the form that kernels expect."""
     bits, weights = _weight_groups(template)
     masks = template.mask & bits[:, None]
     group_weights = np.repeat(weights[:, None], len(template), axis=1)
@@ -171,9 +171,9 @@ def _total_weights(masks: U64, weights: F64) -> F64:
 def cost_table(layout: Layout, vocabulary: U64, dtype: type[np.floating[Any]] = np.float64) -> Table:
     """Tabulate the local cost of every word against every column, one row for each word.
 
-    A cost is the weight of a column's bits that the word contradicts as a share of the weight of all its bits (without
-    weights: the share of its bits), 0 for a column of wildcards alone, ∞ for `NO_WORD` and in columns that belong to no
-    template. In float32 costs are rounded to multiples of `grid_step`.
+    A cost is the weight of the column's fixed bits that the word contradicts, divided by the weight of all its fixed
+    bits; without weights, each bit has the weight 1. It is 0 for a column with only wildcards, and ∞ for `NO_WORD` and
+    for padding. In float32, costs are rounded to multiples of `grid_step`.
 
     Parameters
     ----------
@@ -247,16 +247,16 @@ def in_units(layout: Layout, units: F64) -> TemplateColumns:
 
 
 def grid_step(columns: int) -> float:
-    """Return the step of the grid on which float32 costs lie: 2^−24 times the smallest power of two ≥ the columns.
+    """Return the step to whose multiples float32 costs are rounded: 2^−24 times the smallest power of two ≥ `columns`.
 
-    A complete path of a template of N columns has N units of weight (a (2,1) step counts twice) and costs of at most 1
-    a unit. Costs that are multiples of this step therefore add up to at most 2^24 steps, and float32 holds every such
-    sum exactly: on the grid nothing is rounded, in whatever order the costs are added.
+    A complete path through a template of N columns has a total weight of N, since a (2,1) step counts twice, and each
+    local cost is at most 1. Costs that are multiples of the step therefore add up to at most 2^24 steps. float32
+    represents all these sums exactly, so that no further rounding occurs, in whatever order the costs are added.
 
-    A float32 distance is therefore within step / 2 + 2^−24 of the exact one: rounding to the grid moves a local cost by
-    half a step at most, a path of N units of weight by N / 2 steps, and so the lowest cost over all paths, since
-    |min a − min b| ≤ max |a − b|. Division by N leaves half a step, and rounds a number of at most 1 by 2^−25 at most;
-    float64 errs by far less than another 2^−25.
+    A float32 distance therefore differs from the exact one by at most step / 2 + 2^−24. Rounding changes a local cost
+    by at most half a step, and the cost of a path of weight N by at most N / 2 steps. The same bound holds for the
+    lowest cost over all paths, since |min a − min b| ≤ max |a − b|. After the division by N the error is half a step;
+    the division rounds a number of at most 1 by at most 2^−25, and float64 errs by far less than another 2^−25.
     """
     return float(2.0 ** (max(columns - 1, 0).bit_length() - 24))
 
@@ -265,7 +265,7 @@ def grid_step(columns: int) -> float:
 def number_words(words: U64, slots: I32, vocabulary: U64, count: int, codes: I32) -> int:
     """Number words in the order of their first occurrence, with open addressing; return their number (kernel).
 
-    The first `count` entries of the vocabulary have numbers already.
+    The first `count` entries of the vocabulary were numbered before.
     """
     last = len(slots) - 1
     for frame in range(len(words)):

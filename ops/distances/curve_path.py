@@ -58,8 +58,8 @@ class CurvePath(NamedTuple):
     start : int
         The first frame a_ℓ of the path.
     columns : float64 array (E,)
-        The column of the template in each frame from the first to the last; a frame that a (1,2) step skips lies half a
-        column behind the frame before it.
+        The column of the template in each frame from the first to the last. A frame that is skipped by a (1,2) step has
+        the column of the previous frame plus one half.
     """
 
     start: int
@@ -67,19 +67,19 @@ class CurvePath(NamedTuple):
 
 
 def curve_paths(template: QuantisedTemplate, words: U64, ends: I64) -> list[CurvePath]:
-    """Return the cheapest warping paths that end in some frames, as frames and columns.
+    """Return the cheapest warping paths that end in given frames, as frames and columns.
 
-    Among equally cheap paths the one is taken that, read from its end, prefers (1,1), then (1,2), then (2,1), as in
-    `ops.distances.window_sums.path_start`.
+    Of equally cheap paths, the choice is made step by step from the end of the path: a (1,1) step is preferred to
+    (1,2), and (1,2) to (2,1), as in `ops.distances.window_sums.path_start`.
 
     Parameters
     ----------
     template : QuantisedTemplate
         A template of N columns.
     words : uint64 array (L,)
-        The words of a take; `NO_WORD` where a frame is invalid.
+        The words of a take; `NO_WORD` if a frame is invalid.
     ends : int64 array (E,)
-        Frames where the template's distance curve is finite.
+        Frames in which the template's distance curve is finite.
 
     Returns
     -------
@@ -123,7 +123,7 @@ def trace_path(window: Window, codes: I32, begin: int, end: int, cells: I64) -> 
     begin, end : int
         The first frame of the window, and the frame where the path ends.
     cells : int64 array (N, 2)
-        Out: frame and column of each cell of the path.
+        Output: frame and column of each cell of the path.
 
     Returns
     -------
@@ -142,10 +142,10 @@ def trace_path(window: Window, codes: I32, begin: int, end: int, cells: I64) -> 
 
 
 def essential_minima(starts: I64, ends: I64, costs: F64) -> I64:
-    """Return the minima that have no cheaper minimum close by (thesis, Section 6.4.1).
+    """Return the minima that have no cheaper minimum nearby (thesis, Section 6.4.1).
 
-    By ascending costs, then ends, a minimum is dropped if its end is closer to the end of one that is taken already
-    than half the shorter of the two paths, counted from first to last frame.
+    Minima are considered in order of ascending cost, then of ascending end. A minimum is dropped if the distance of its
+    end to the end of a minimum that was kept is less than half the length of the shorter of the two paths.
 
     Parameters
     ----------
@@ -157,7 +157,7 @@ def essential_minima(starts: I64, ends: I64, costs: F64) -> I64:
     Returns
     -------
     int64 array (E,)
-        The places of the essential minima, the cheapest first.
+        The indices of the essential minima, the cheapest first.
     """
     taken: list[int] = []
     lengths = ends - starts

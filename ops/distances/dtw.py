@@ -1,4 +1,7 @@
-"""Distance curves measure in every frame how well a template fits a take up to there (subsequence DTW)."""
+"""This module computes distance curves, the distances of a template to all parts of a take by their last frames.
+
+The method is subsequence dynamic time warping (DTW).
+"""
 
 from __future__ import annotations
 
@@ -25,12 +28,13 @@ def distance_curves(
 ) -> Array:
     """Return the distance curve of every template (thesis, Eq. 5.1 to 5.3).
 
-    The local cost of a column against a frame is the fraction of the column's fixed entries f that the frame
-    contradicts, weighted if features have weights: Σ_f weight_f · contradicted_f / Σ_f weight_f. It is 0 for a column
-    of wildcards alone, and ∞ for a frame without a word. Steps (template, take) are (1,1), (1,2) and (2,1); a (2,1)
-    step counts the local cost twice. A path starts at any frame, in the template's first column. Time is
-    proportional to columns × frames. Memory, besides the result, is 20 to 28 bytes a frame while the words are numbered
-    and 4 to 12 after that; tables of costs and sums are bounded, however long the take and however many its words.
+    The local cost of a column and a frame is the fraction of the column's fixed entries f that the frame contradicts,
+    weighted if features have weights: Σ_f weight_f · contradicted_f / Σ_f weight_f. It is 0 for a column with only
+    wildcards, and ∞ for a frame without a word. Steps (template, take) are (1,1), (1,2) and (2,1); a (2,1) step counts
+    the local cost twice. A path may start at any frame, in the template's first column.
+
+    The time is proportional to columns × frames. Besides the result, 20 to 28 bytes per frame are needed while words
+    are numbered, and 4 to 12 bytes after that. The size of other tables does not depend on the length of the take.
 
     Parameters
     ----------
@@ -39,21 +43,21 @@ def distance_curves(
     words : uint64 array (L,)
         The words of a take, or the concatenated words of many takes, which `ranges` separate.
     ranges : int64 array (R, 2), optional
-        Half-open ranges of frames, ascending and disjoint; each is computed as if it were a take of its own. None: all
-        of `words` is one take.
+        Half-open ranges of frames, ascending and disjoint; each is computed like a separate take. None if `words` is a
+        single take.
     dtype : type
         float64; or float32, which is twice as fast and within the bound of `ops.distances.costs.grid_step`.
 
     Returns
     -------
     array of dtype (T, L)
-        At frame l the cost of the best path that ends there, divided by N; ∞ where none exists (about the first N / 2
-        frames of a range, across frames without a word, and outside the ranges).
+        For each frame the cost of the best path that ends there, divided by N. It is ∞ if there is no path: in about
+        the first N / 2 frames of a range, near frames without a word, and outside the ranges.
 
     Raises
     ------
     ParameterError
-        If the ranges are not ascending ranges within the words.
+        If the ranges do not ascend or lie outside the words.
     """
     checked = checked_ranges(ranges, len(words))
     curves = np.full((len(templates), len(words)), np.inf, dtype)
@@ -62,8 +66,7 @@ def distance_curves(
     layout = column_layout(templates)
     lead_in = 2 * (int(layout.lengths.max()) - 1)
     most_words = max(1, _TABLE_CELLS // layout.width)
-    # If there are few different words in all, one table serves all frames; else parts of the ranges get their own
-    # tables.
+    # If there are few different words, one table is used for all frames; otherwise each part of the ranges has its own.
     start, stop = int(checked[0, 0]), int(checked[-1, 1])
     coded = encode(words[start:stop])
     few = len(coded.vocabulary) <= most_words

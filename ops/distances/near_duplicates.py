@@ -1,8 +1,8 @@
-"""This module finds clips that show the same motion, near-duplicates by the positions of their joints.
+"""This module finds near-duplicates: clips that show the same motion, compared by the positions of their joints.
 
-They may be two performances at different speeds, with a difference up to a given limit. By contrast, `ops.duplicates`
-finds the same recording twice in an archive: it searches for equal runs of words, which two performances rarely share,
-and also finds parts of takes and other frame rates.
+Near-duplicates may be two performances with slightly different speeds and poses. By contrast, `ops.duplicates` finds
+recordings that an archive holds twice. It searches for equal runs of words, which two performances rarely have in
+common, and also finds parts of takes and copies at other frame rates.
 """
 
 from __future__ import annotations
@@ -22,14 +22,14 @@ _BLOCK = 256
 
 
 def motion_outline(positions: F64, placement: Placement) -> F32:
-    """Return a clip's outline: its joints at `MOMENTS` moments, moved to start at the origin facing +Z.
+    """Return the outline of a clip: its joints at `MOMENTS` moments, moved to start at the origin facing +Z.
 
     Parameters
     ----------
     positions : float array (T, J, 3)
-        Places in metres, Y up; NaN where a joint is not known.
+        Positions in metres, Y up; NaN if a joint is not known.
     placement : Placement
-        The body's place in the first frame.
+        The body's placement in the first frame.
 
     Returns
     -------
@@ -47,23 +47,23 @@ def motion_outline(positions: F64, placement: Placement) -> F32:
 def near_duplicates(outlines: Sequence[F32] | F32, seconds: Sequence[float] | F64, most: float) -> list[int]:
     """Find for each clip the first earlier one that shows the same motion.
 
-    Two clips show the same motion if their outlines differ by less than `most` metres, as the root of the mean square
-    over the moments and the joints that both know, and if their durations differ by at most a tenth of the longer
-    one. A clip is compared with those that are no duplicates themselves.
+    Two clips show the same motion if the root mean square distance of their outlines, over all moments and the joints
+    known in both clips, is less than `most` metres, and if their durations differ by at most a tenth of the longer one.
+    A clip is compared only with earlier clips that are not duplicates themselves.
 
     Parameters
     ----------
     outlines : sequence of float32 array (MOMENTS, J, 3)
         Outlines of N clips (`motion_outline`).
     seconds : sequence of float (N,)
-        Their durations.
+        The durations of the clips in seconds.
     most : float
-        The difference in metres from which clips count as different.
+        The distance in metres from which clips count as different.
 
     Returns
     -------
     list of int (N,)
-        Index of the earlier clip; −1 where there is none.
+        For each clip the index of the earlier clip; −1 if there is none.
 
     Raises
     ------

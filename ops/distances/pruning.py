@@ -1,23 +1,24 @@
-"""Exact pruning excludes frames where a distance curve cannot have minima below a threshold, by lower bounds.
+"""This module excludes frames in which a distance curve cannot have a minimum below a threshold, by lower bounds.
 
-There are three bounds, each proven below: coarse units (`coarse_bounds`), then whole units and windows (`fine_bound`).
-The remaining frames are computed in float64 by `ops.ranking.best_hits`, or over short ranges by
-`ops.distances.range_minima`, so that hits equal those of the full curve of `ops.distances.dtw.distance_curves`.
+The bounds are proven below: coarse units (`coarse_bounds`), and whole units and windows (`fine_bound`). The remaining
+frames are computed in float64 by `ops.ranking.best_hits`, or over short ranges by `ops.distances.range_minima`, so that
+hits equal those of the full curve of `ops.distances.dtw.distance_curves`.
 
-Before these, `granule_bounds` bounds distance curves from below by the coarse copy of bit slices alone. The coarse copy
-of `ops.search.bit_slices` has, for every granule of 8 frames, the features that are on in some frame and those that are
-off in some. A feature that a template requires to be on is contradicted in every frame of a granule where it is on in
-none. This bounds the cost of a path through a granule, whichever frames it visits.
+A third bound, `granule_bounds`, is applied before these. It needs only the coarse copy of bit slices
+(`ops.search.bit_slices`), which has for every granule of 8 frames the features that are on in some frame, and the
+features that are off in some frame. If a template requires a feature to be on and the feature is on in no frame of a
+granule, every frame of the granule contradicts it. This bounds the cost of a path through the granule from below,
+whichever frames the path visits.
 
-*Blocks of columns.* The columns of a template are taken B at a time, the last ones at the end; fewer than B at its
-beginning are ignored. A path collects a weight of B − 1 or more in a block: B for its columns, less one where a (2,1)
-step skips the last of them, which counts in the block after. Each of these units costs at least what the block costs in
-the cheapest granule that the path visits within it, and that is at least the fraction of entries, fixed alike in all
-columns of the block, that the granule contradicts.
+*Blocks of columns.* The columns of a template are divided into blocks of B columns from the end; the first columns that
+fill no block are ignored. The steps of a path in a block have a total weight of at least B − 1: B for the columns, less
+one if a (2,1) step skips the last column, which then counts in the next block. Each unit of weight costs at least as
+much as the block in the cheapest granule that the path visits there. This is at least the fraction of the entries fixed
+alike in all columns of the block that the granule contradicts.
 
-*Steps.* From a cell of a block to one of the next there are at most 2B − 1 columns, and so twice as many frames; the
-granules of two consecutive blocks are therefore apart by 0 to (7 + 4B − 2) / 8. The cheapest choice of granules within
-these steps, by dynamic programming, costs no more than the path divided by B − 1.
+*Steps.* From a cell of a block to a cell of the next block there are at most 2B − 1 columns, and at most twice as many
+frames. The granules of two consecutive blocks are therefore between 0 and (7 + 4B − 2) / 8 apart. Dynamic programming
+finds the cheapest choice of granules within these steps, whose cost is at most that of the path divided by B − 1.
 """
 
 from __future__ import annotations
@@ -46,7 +47,7 @@ _MIN_COLUMNS = 128  # least number of columns in a pass for which coarse sums sa
 _MAX_TEMPLATES = SLOTS // 2  # most templates in one pass: with more, a large part of the rows would be padding
 
 LONG = 40
-"""Number of columns from which templates are divided into blocks of 8 columns; others have blocks of 4."""
+"""Number of columns from which a template is divided into blocks of 8 columns; shorter templates have blocks of 4."""
 
 _ROUNDING = 1 + 1e-4
 """Factor by which sums in float32 may be too high."""
@@ -54,15 +55,15 @@ _ROUNDING = 1 + 1e-4
 
 @dataclass(frozen=True)
 class CoarseBound:
-    """A lower bound of a distance curve in coarse units: no path that ends in a block of frames costs less.
+    """A lower bound of a distance curve in coarse units, one for each block of frames.
 
     Parameters
     ----------
     sums : uint8 array (B,)
-        One for each block of `ops.distances.sweep.BLOCK` frames, the last one may have fewer; `COARSE_CAP` where no
-        path ends below the threshold that the bound was made for.
+        The bound in units, for all paths that end in a block of `ops.distances.sweep.BLOCK` frames; the last block may
+        be shorter. It is `COARSE_CAP` if no path below the threshold of the bound ends in the block.
     unit : float
-        The distance that a unit stands for.
+        The distance that corresponds to one unit.
     """
 
     sums: U8
@@ -82,18 +83,17 @@ class FineBound:
     Parameters
     ----------
     units : uint16 array (L,)
-        `ops.distances.sweep.CAP` where no path below the threshold ends.
+        The bound in each frame; `ops.distances.sweep.CAP` if no path below the threshold ends there.
     unit : float
-        The distance that a unit stands for.
+        The distance that corresponds to one unit.
     slack : int
-        The number of units by which the bound at a minimum may exceed that at its neighbour.
+        The number of units by which the bound at a minimum of the curve may exceed the bound at a neighbouring frame.
     ranges : int64 array (R, 2)
         Ascending ranges outside of which all units are `CAP`.
     frames : int
         The number of frames of the curve.
     computed : int
-        The number of frames whose units were computed column by column, lead-in frames before windows included; the
-        others were skipped.
+        The number of frames that were computed, including the frames before windows in which their paths may start.
     """
 
     units: U16
@@ -105,7 +105,7 @@ class FineBound:
 
 
 def coarse_bound(template: QuantisedTemplate, coded: CodedWords, threshold: float, ranges: I64) -> CoarseBound | None:
-    """Return the coarse bound of one template alone, or None where it would not save time; see `coarse_bounds`."""
+    """Return the coarse bound of a single template (`coarse_bounds`), or None if it would not save time."""
     if len(template) < _MIN_COLUMNS:
         return None
     return coarse_bounds([template], coded, np.array([threshold]), ranges)[0]
@@ -116,11 +116,11 @@ def coarse_bounds(
 ) -> list[CoarseBound]:
     """Bound the distance curves of templates from below in coarse units, all in one pass over the words.
 
-    *Coarse units.* With u = τN / 255 every local cost c holds ⌊c/u⌋ whole units. A path costs the sum of its local
-    costs, each counted once or twice, N counted ones in all, and the sum of their whole units is no more than cost / u.
-    Sums saturate at 255 in 8 bits, and a saturated sum is still a lower bound. So where the smallest sum is q units, no
-    path costs less than q u, and where it is 255, none is below τ: a path below any τ' ≤ τ ends only at frames of fewer
-    than τ'N / u units.
+    *Coarse units.* With the unit u = τN / 255, a local cost c has ⌊c/u⌋ whole units. The cost of a path is the sum of
+    its local costs, each counted once or twice, and the sum of their whole units is at most cost / u. Sums saturate at
+    255 in 8 bits, and a saturated sum is still a lower bound. Hence, if the smallest sum in a frame is q units, no path
+    that ends there costs less than q u, and if it is 255, no path there is below τ. A path below some τ' ≤ τ ends only
+    in frames with fewer than τ'N / u units.
 
     Parameters
     ----------
@@ -165,14 +165,14 @@ def fine_bound(
 ) -> FineBound:
     """Bound a distance curve from below in whole units, where it may be below a threshold.
 
-    *Whole units.* With u = τN / 21845 every local cost c holds ⌊c/u⌋ whole units. A path costs the sum of its local
-    costs, each counted once or twice, N counted ones in all; the sum of their whole units is no more than cost / u
-    and more than cost / u − N. Sums that reach 21845 are at τN or above: no hit. So the curve of least whole units, in
-    16 bits, is a lower bound within N units of the true one (for paths below τ), and a frame can be a minimum only
-    if it is not more than N units above a neighbour.
+    *Whole units.* With the unit u = τN / 21845, a local cost c has ⌊c/u⌋ whole units. The cost of a path is the sum of
+    its local costs, N of them if those that count twice are counted twice. The sum of their whole units is at most
+    cost / u and more than cost / u − N. Paths whose sums reach 21845 cost τN or more and are no hits. For paths below
+    τ, the smallest sums are therefore a lower bound that differs from the curve by less than N units. A frame can be a
+    minimum only if its bound is at most N units above that of a neighbour.
 
-    *Windows.* A path that ends at frame l lies within the 2(N − 1) frames before it. So each part that the coarse bound
-    leaves is computed with this many frames before it, like a take of its own.
+    *Windows.* A path that ends at frame l lies within the 2(N − 1) frames before l. Each part of the frames that the
+    coarse bound does not exclude is therefore computed like a separate take that starts this many frames earlier.
 
     Parameters
     ----------
@@ -185,8 +185,8 @@ def fine_bound(
     ranges : int64 array (R, 2)
         The ranges that paths must not leave.
     coarse : CoarseBound, optional
-        The bound that selects the frames to compute, made for these words and ranges and for this τ or a greater one.
-        None: all frames.
+        The bound that selects the frames to compute, made for these words and ranges and for this τ or a greater one;
+        None to compute all frames.
 
     Raises
     ------
@@ -224,7 +224,7 @@ def fine_bound(
 def pieces_below(bound: CoarseBound, threshold: float, ranges: I64, lead_in: int) -> I64:
     """Return the pieces, see `ops.distances.sweep.pieces_of`, that cover all blocks that may be below a threshold.
 
-    Blocks are merged into one piece where fewer than `lead_in` frames lie between them. Pieces are ascending.
+    Blocks with fewer than `lead_in` frames between them are merged into one piece. Pieces are ascending.
     """
     positions = np.flatnonzero(bound.blocks_below(threshold))
     if not len(positions):
@@ -303,7 +303,7 @@ class GranuleBlocks(NamedTuple):
     Parameters
     ----------
     must_on, must_off : uint64 array (G, K)
-        The features of each group of weights that all columns of a block require to be on, or off.
+        For each group of features of equal weight, the features that all columns of a block require to be on, or off.
     weights : float32 array (G, K)
         The weight of a feature of each group as a fraction of all weights of a column.
     """
@@ -320,7 +320,7 @@ class GranuleWords:
     Parameters
     ----------
     on, off : uint64 array
-        One word per granule; take t begins at granule 8 · first[t] of the slices.
+        One word per granule, with the bits of the features.
     """
 
     on: U64
@@ -335,7 +335,7 @@ def granule_words(slices: BitSlices, first: int, stop: int) -> GranuleWords:
     slices : BitSlices
         The slices.
     first, stop : int
-        A range of takes. The granules begin with the first one of the range.
+        A range of takes; the result begins with the first granule of the first take.
     """
     begin, end = int(slices.first[first]) * GRANULES, int(slices.first[stop]) * GRANULES
     on, off = np.empty(end - begin, np.uint64), np.empty(end - begin, np.uint64)
@@ -383,16 +383,16 @@ def granule_bounds(template: QuantisedTemplate, words: GranuleWords, edges: I64)
     Parameters
     ----------
     template : QuantisedTemplate
-        N columns.
+        A template of N columns.
     words : GranuleWords
         The granules of T takes.
     edges : int64 array (T + 1,)
-        Take t has the granules edges[t] to edges[t + 1].
+        Take t has the granules edges[t] to edges[t + 1] − 1.
 
     Returns
     -------
     float32 array
-        No path that ends in a granule costs less.
+        The bounds, one for each granule.
     """
     blocks, size = granule_blocks(template)
     bounds = np.zeros(len(words.on), np.float32)

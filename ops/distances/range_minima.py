@@ -1,9 +1,10 @@
 """This module finds minima of distance curves within short ranges, such as those left by keyframes or bounds.
 
-Where ranges are long or many, `ops.distances.pruning` excludes most frames by finer and finer bounds, and makes two
-passes over the rest, for distances and for paths. Within a few hundred frames that is more work than the distances
-themselves: here the costs of all paths are computed once, and kept until the paths have been traced back. The kernels
-of `ops.distances.window_sums`, which also skip cells above a limit, were slower in the place of these.
+For long or many ranges, `ops.distances.pruning` excludes most frames by successively finer bounds, and makes two passes
+over the remaining frames, for distances and for paths. For a few hundred frames, computing the bounds would take longer
+than computing the distances. Therefore this module computes the costs of all paths once, and keeps them until the paths
+have been traced back. The kernels of `ops.distances.window_sums`, which also skip cells above a limit, are slower for
+such ranges.
 """
 
 from __future__ import annotations
@@ -38,7 +39,7 @@ def minima_within(
 ) -> Matches:
     """Find the local minima of distance curves below a threshold within ranges, with their warping paths.
 
-    They equal those of the full curves of `ops.distances.dtw.distance_curves` in float64, to the bit.
+    The minima equal those of the full curves of `ops.distances.dtw.distance_curves` in float64, to the bit.
 
     Parameters
     ----------
@@ -49,14 +50,13 @@ def minima_within(
     thresholds : float64 array (T,)
         The threshold τ > 0 of each template.
     ranges : sequence of int64 array (R, 2)
-        For each template half-open ranges of frames, ascending and disjoint; each is computed as if it were a take of
-        its own.
+        For each template half-open ranges of frames, ascending and disjoint; each is computed like a separate take.
     coded : CodedWords, optional
-        `ops.distances.costs.encode(words)`, where it is known.
+        The result of `ops.distances.costs.encode(words)`; computed if it is not given.
     coarse : sequence of CoarseBound, optional
         For each template a bound of its curve (`ops.distances.pruning.coarse_bounds`), made for these ranges or wider
-        ones and for its threshold or a greater one; then only frames that the bound does not exclude are computed.
-        None: all frames.
+        ones and for its threshold or a greater one. Frames that the bound excludes are not computed. None to compute
+        all frames.
 
     Raises
     ------
@@ -104,7 +104,7 @@ def fill_matches(
     codes : int32 array (L,)
         The index in the vocabulary of the word of each frame, see `CodedWords`.
     columns : TemplateColumns
-        Those of a `Layout`.
+        The columns of a `Layout`.
     firsts, lengths : int64 array (T,)
         The first column of each template, and the number of its columns.
     thresholds : float64 array (T,)
@@ -168,8 +168,8 @@ def _fill_costs(
 ) -> int:  # fmt: skip
     """Map frames to rows of a cost table, fill in missing rows, and return the number of rows in use (kernel).
 
-    Few different words occur where a template is matched, each of them often, so each takes one row. `row_of` holds the
-    row of each word whose `filled` equals `turn`.
+    The frames of a piece have few different words, so the table has one row for each word. `row_of` holds the row of
+    each word; it is valid if `filled` of the word equals `turn`, the number of the current table.
     """
     for frame in range(len(codes)):
         code = codes[frame]
@@ -188,8 +188,8 @@ def _fill_costs(
 def _fill_sums(table: F64, rows: I32, columns: int, sums: F64) -> None:
     """Fill in the costs of the cheapest paths to each column at each frame, in row frame + 2 (kernel).
 
-    Cells that no path reaches (a path advances by at most two columns a frame) are ∞; cells that lead to no end are
-    skipped.
+    Cells that no path can reach are ∞, since a path advances by at most two columns per frame. Cells from which no path
+    can reach the last column are skipped.
     """
     for frame in range(len(rows)):
         least, most = max(0, columns - 1 - 2 * (len(rows) - 1 - frame)), min(columns - 1, 2 * frame)

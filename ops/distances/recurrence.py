@@ -4,9 +4,9 @@ With c the local cost of column n in frame f, the cheapest path that ends there 
 
     D(n, f) = min(D(n − 1, f − 1) + c, D(n − 1, f − 2) + c, D(n − 2, f − 1) + 2 c).
 
-A (2,1) step counts the local cost twice, so that every complete path of a template of N columns has N units of weight.
-The kernels that use these functions keep one row of costs for each frame, in which two more cells precede the first
-column: D(n, f) lies in place n + 2 of the row of frame f.
+A (2,1) step counts the local cost twice, so that every complete path through a template of N columns has a total weight
+of N. The kernels that use these functions keep one row of costs for each frame, with two additional cells before the
+first column: D(n, f) has the index n + 2 in the row of frame f.
 """
 
 from __future__ import annotations
@@ -43,8 +43,8 @@ def path_cost(straight, slow, fast, cost):  # type: ignore[no-untyped-def]
 def coarse_path_cost(straight, slow, fast, cost):  # type: ignore[no-untyped-def]
     """Return `path_cost` for whole units in 8 bits, with additions that saturate at `COARSE_CAP` (inlined kernel).
 
-    Saturating additions can be done in any order, so that c + min(D(n − 1, f − 1), D(n − 1, f − 2), D(n − 2, f − 1) +
-    c) is equal and saves one operation: `path_cost` with such additions takes 1.3 times as long (`python -m
+    Saturating additions can be reordered: c + min(D(n − 1, f − 1), D(n − 1, f − 2), D(n − 2, f − 1) + c) has the same
+    result and saves one operation. `path_cost` with saturating additions would take 1.3 times as long (`python -m
     benchmarks.recurrence`).
     """
     far = np.uint8(fast + cost)

@@ -1,9 +1,10 @@
 """This module has the inner loops of subsequence DTW: frame by frame over adjacent columns, for several pieces.
 
-Coarse sums of many templates at once are computed with columns laid out for SIMD byte lanes, in stripes. In a layout of
-consecutive columns, column n needs the values of columns n − 1 and n − 2 in the frame before. Such loads straddle the
-vectors that were just stored, so the processor stalls until the stores reach the cache. Here each column lies `SLOTS`
-bytes after the one before it, so that every vector is loaded as it was stored.
+Coarse sums of many templates are computed together, with columns arranged in stripes for SIMD instructions on bytes. If
+the columns of a template were adjacent in memory, column n would need the values of columns n − 1 and n − 2 in the
+previous frame. Loading them would straddle vectors that were just stored, so that the processor would stall until the
+stores reach the cache. In stripes, each column lies `SLOTS` bytes after the previous column of its template, so that
+every vector is loaded as it was stored.
 """
 
 from __future__ import annotations
@@ -31,24 +32,24 @@ CAP = 21845
 """
 
 SLOTS = 64
-"""The number of columns side by side in a row: the bytes of the widest vector, and of a cache line."""
+"""The number of columns in a row, which is the number of bytes of the widest vector and of a cache line."""
 
 BLOCK = 8
-"""The number of frames in a block that has one least sum."""
+"""The number of frames in a block, for which a single smallest sum is stored."""
 
 
 def pieces_of(ranges: I64, longest: int, lead_in: int) -> I64:
     """Divide ranges into pieces that can be computed independently of each other.
 
-    A path of N columns begins 2(N − 1) frames before its end at most. So a piece has the results of the whole range if
-    its computation begins that many frames earlier, or at the start of its range.
+    A path through N columns begins at most 2(N − 1) frames before its end. So the results in a piece equal those of the
+    whole range if the computation begins that many frames earlier (the lead-in), or at the start of the range.
 
     Parameters
     ----------
     ranges : int64 array (R, 2)
         Half-open ranges of frames, none of them empty.
     longest : int
-        The most frames of a piece, without the lead-in.
+        The maximum number of frames of a piece, without the lead-in.
     lead_in : int
         2(N − 1) for the longest template.
 
@@ -123,9 +124,9 @@ def write_results(lanes: I64, steps: int, found: Table, sums: Table, first: int)
 def sweep(table: Table, codes: I32, pieces: I64, firsts: I64, lasts: I64, sums: Table, first: int) -> None:
     """Fill in the costs of the best paths of all templates of a layout, in the precision of the table (kernel).
 
-    All three steps advance in the take, so a frame depends on the two frames before it only, and the columns of a frame
-    are independent of each other: the loop over columns vectorises. A column of ∞ before a template's first keeps the
-    (2,1) step out; the first column is the local cost alone.
+    All three steps advance in the take, so that a frame depends only on the two frames before it, and the columns of a
+    frame are independent of each other. Hence the loop over columns vectorises. A column of ∞ before the first column
+    of each template prevents (2,1) steps from the previous template; the first column holds only the local cost.
 
     Parameters
     ----------
@@ -171,7 +172,7 @@ def sweep(table: Table, codes: I32, pieces: I64, firsts: I64, lasts: I64, sums: 
 def sweep_bounds(table: U16, codes: I32, pieces: I64, final: int, sums: U16) -> None:
     """Fill in one template's lower bounds in whole units, saturated at `CAP` (kernel).
 
-    It is `sweep` with saturating sums: no path of fewer units than `CAP` reaches a cell with the value `CAP`.
+    This is `sweep` with saturating sums: a cell has the value `CAP` if no path of fewer units reaches it.
 
     Parameters
     ----------
@@ -331,11 +332,11 @@ def sweep_stripes(
     initial : uint8 array (S + 2 · `SLOTS`,)
         The sums before the first frame of a piece.
     above : uint8 array (2 · `SLOTS`,)
-        The most that the two rows above the first hold.
+        Upper limits of the values in the two rows above the first row.
     state : uint8 array (3, S + 2 · `SLOTS`)
         Memory for the sums of three frames.
     least : uint8 array (BL, `SLOTS`)
-        Memory for more blocks than the longest piece has.
+        Memory for the sums of the blocks of a piece, one block more than the longest piece has.
     slots : int64 array (T,)
         See `place_columns`.
     sums : uint8 array (T, B)

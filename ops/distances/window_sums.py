@@ -1,7 +1,7 @@
 """This module computes the costs of the paths that end in a few frames, in float64, and traces the paths.
 
-Paths that end in neighbouring frames share the frames before these. A *window* is such an interval of frames: the costs
-of the paths to all its cells are kept until the paths of interest have been traced back.
+Paths that end in neighbouring frames pass through the same frames before. A *window* is an interval with all these
+frames; the costs of the paths to all of its cells are kept until the paths of interest have been traced back.
 """
 
 from __future__ import annotations
@@ -63,10 +63,11 @@ def sum_window(
 ) -> None:  # fmt: skip
     """Fill in the costs of the cheapest paths that end in the frames from `end` on, one for each of `sums` (kernel).
 
-    Cells from which no end can be reached are skipped: from frame f the columns N − 1 − 2(e − f) to N − 1 − (e − f)/2
-    lead to the end e; over all ends, the columns from the last end's least to the first end's greatest are needed.
-    Every step back from such a cell leads to another one, or out of the window. Cells that are only reached by paths
-    above the limit are skipped as well: costs only grow along a path, so a path within the limit has no such cell.
+    Cells from which no path leads to one of the ends are skipped. In frame f, the columns N − 1 − 2(e − f) to
+    N − 1 − (e − f)/2 lead to the end e. For all ends together, the first column is determined by the last end, and the
+    last column by the first end. Every step back from such a cell leads to another such cell, or out of the window.
+    Cells that are only reached by paths above the limit are skipped as well: costs never decrease along a path, so a
+    path within the limit contains no such cell.
 
     Parameters
     ----------
@@ -77,13 +78,13 @@ def sum_window(
     template : TemplateColumns
         The columns of the template.
     begin : int
-        The first frame of the window: where the range of the paths begins, or 2(N − 1) frames before the first end.
+        The first frame of the window, which is the start of the range or 2(N − 1) frames before the first end.
     end : int
-        The first frame whose cost is wanted.
+        The first frame for which the cost is computed.
     sums : float64 array (E,)
-        The results: N times the distances. Those above the limit may be too high, or ∞.
+        The results: N times the distances. Results above the limit may be too high, or ∞.
     limit : float
-        The greatest cost of a path that is of interest.
+        The largest cost of paths that must be computed exactly.
     window : Window
         Memory for at least as many frames as lie from `begin` to the last end.
     """
@@ -121,11 +122,11 @@ def sum_window(
 def fill_row(sums: F64, frame: int, first: int, last: int, costs: F64) -> None:
     """Fill in the costs of the paths to the columns from `first` to `last` in a frame of a window (kernel).
 
-    Skipped cells are set to ∞ where the next two rows read them. The cells of a row begin one column after the first
-    cell within the limit of the two rows before, or at the first one that leads to an end, which advances by two
-    columns a row; they end two columns after the last cell within the limit of the row before, or one after that of the
-    row before it. So the next rows read at most three columns before the first cell of this row, and three after its
-    last one. The last column is read at ends.
+    Skipped cells that the next two rows read are set to ∞. The first cell of a row is one column after the first cell
+    within the limit in the two previous rows, or the first cell from which an end can be reached, which moves by two
+    columns per row. The last cell is two columns after the last cell within the limit in the previous row, or one
+    column after that of the row before. The next rows therefore read at most three columns before the first cell of
+    this row, and at most three after its last cell. The last column is also read at ends.
 
     Parameters
     ----------
@@ -151,7 +152,7 @@ def fill_row(sums: F64, frame: int, first: int, last: int, costs: F64) -> None:
 
 @nb.njit(cache=True, nogil=True)
 def within_limit(row: F64, first: int, last: int, limit: float) -> tuple[int, int]:
-    """Return the first and the last of some columns that are within the limit, (N, −1) if none is (kernel)."""
+    """Return the first and the last column from `first` to `last` within the limit; (N, −1) if none is (kernel)."""
     while first <= last and not row[first + 2] <= limit:
         first += 1
     while last >= first and not row[last + 2] <= limit:
@@ -176,8 +177,9 @@ def is_minimum(distances: F64, place: int, threshold: float) -> bool:
 def path_start(window: Window, codes: I32, begin: int, end: int, number: int, starts: I64) -> int:
     """Return the start frame of the cheapest path that ends in the last column at a frame of a window (kernel).
 
-    Among equally cheap paths the one is taken that, read from its end, prefers (1,1), then (1,2), then (2,1). Its
-    continuation depends on the current cell only: from a cell of an earlier path, it follows that path.
+    Of equally cheap paths, the choice is made step by step from the end of the path: a (1,1) step is preferred to
+    (1,2), and (1,2) to (2,1). The choice depends only on the current cell, so that a path which meets an earlier path
+    has the same start.
 
     Parameters
     ----------

@@ -1,10 +1,10 @@
 """This module finds alignments of takes in which several successive runs of words are equal.
 
-A copy of a motion has the words of the motion, also where it is cut, moved to another place or turned; a mirrored copy
-has mirrored words. At another rate, or cut between two analysis frames, a copy has some runs changed and others equal.
-So each sequence of `LENGTH` successive words is looked up in all other takes, and each occurrence votes for the
-alignment that it implies. Most alignments of different motions are rejected by their words alone, before poses are
-compared.
+A copy of a motion has the same words, even if it is cut, moved or rotated about the vertical; a mirrored copy has
+mirrored words. If a copy has another frame rate, or is cut between two analysis frames, some of its runs of words
+differ and others are equal. Therefore each sequence of `LENGTH` successive runs is looked up in all other takes, and
+each occurrence votes for the alignment that it implies. Most alignments of different motions are rejected by their
+words, before poses are compared.
 """
 
 from __future__ import annotations
@@ -28,16 +28,16 @@ SHORT = 2
 """Number of successive runs in a sequence of a take that has few runs."""
 
 FEW_RUNS = 24
-"""Number of runs; takes with fewer are also looked up by sequences of `SHORT` runs."""
+"""Number of runs; takes with fewer runs are also looked up by sequences of `SHORT` runs."""
 
 FEW = 24
-"""Greatest number of occurrences for which all pairs of them vote; of a more frequent sequence, only neighbours do."""
+"""Largest number of occurrences of a sequence for which all pairs vote; beyond it only neighbouring occurrences do."""
 
 NEIGHBOURS = 3
-"""Number of next occurrences, in order of takes, with which one of a frequent sequence votes: copies form a chain."""
+"""Number of next occurrences, in order of takes, with which each occurrence of a frequent sequence votes."""
 
 KEPT = 3
-"""Number of alignments of a pair of takes that are verified, those with most votes first."""
+"""Maximum number of alignments of a pair of takes that are verified, in order of their votes."""
 
 MAX_VOTES = 4_000_000
 """Maximum number of votes in memory at once, some 400 MB while they are sorted."""
@@ -50,8 +50,8 @@ LONG_S = 5.0
 """Duration in seconds from which takes are long: they have many runs, so that copies of parts agree more closely."""
 
 LONG_DIFFER, LONG_VOTES, SHORT_DIFFER = 0.2, 2, 0.5
-"""The largest difference of the words of two long takes, and their fewest votes; and the largest difference if a take
-is shorter. (All of 1,234 copies of HDM05's clips differ by less, those of 5 s and more by 0.05 at most.)
+"""The largest word difference and the minimum number of votes of two long takes, and the largest word difference if a
+take is shorter. (All of 1,234 copies of HDM05's clips differ by less, those of 5 s and more by at most 0.05.)
 """
 
 LAG_FRAMES = 6
@@ -68,11 +68,11 @@ class Alignments(NamedTuple):
     shift : int64 array (A,)
         Frame i of the second take is at frame i + shift of the first.
     mirrored : bool array (A,)
-        The second take is the mirror image of the first.
+        True if the second take is the mirror image of the first.
     votes : int64 array (A,)
         The number of sequences of runs that are equal in the alignment.
     start, stop : int64 array (A,)
-        The frames of the second take in which the first and the last of them lie.
+        The frames of the second take at the first and at the last of these sequences.
     """
 
     first: I64
@@ -91,10 +91,11 @@ class Alignments(NamedTuple):
 
 
 class _Places(NamedTuple):
-    """The occurrences of sequences, in order of sequence and take; of each voting pair, one comes before the other.
+    """The occurrences of sequences of runs, in order of sequence and take.
 
-    `ahead` is the number of following occurrences of the same sequence, at most `NEIGHBOURS` of a frequent one; `image`
-    is true for mirrored words; `asked` marks the requested takes, of which each voting pair must have one.
+    Each occurrence forms pairs with the next `ahead` occurrences, which have the same sequence; for a frequent sequence
+    these are at most `NEIGHBOURS`. `image` is true for mirrored words. `asked` marks the requested takes, of which each
+    pair that votes must contain at least one.
     """
 
     take: I64
@@ -112,15 +113,15 @@ def find_alignments(runs: WordRuns, mirrored: U64 | None = None, most_votes: int
     runs : WordRuns
         The runs of whole words of all takes, in order of take and start.
     mirrored : uint64 array (R,), optional
-        The word of each run with left and right exchanged; without it no mirrored copies are found.
+        The word of each run with left and right exchanged; if it is not given, no mirrored copies are found.
     most_votes : int, optional
-        The most votes in memory at once; the votes of one take are never divided.
+        The maximum number of votes in memory at once; it may be exceeded, since the votes of a take are not divided.
 
     Yields
     ------
     Alignments
-        For a group of first takes at a time, in order: at most `KEPT` alignments of each pair of takes, mirrored or
-        not, those with most votes.
+        The alignments of successive groups of first takes, in order. Of each pair of takes, mirrored or not, at most
+        `KEPT` alignments with the most votes are included.
     """
     count = int(runs.take[-1]) + 1 if len(runs.take) else 0
     few = np.bincount(runs.take, minlength=count) < FEW_RUNS
@@ -160,7 +161,7 @@ def _blocks(votes: I64, most: int) -> Iterator[tuple[int, int]]:
 def _sequences(runs: WordRuns, words: U64, length: int) -> tuple[U64, I64, I64]:
     """Return hash, take and frame of each sequence of `length` consecutive runs without an invalid frame between them.
 
-    The frame is the start of the second run, because the first one may be cut off at the start of a take.
+    The frame is the start of the second run, because the first run may be cut off at the start of a take.
     """
     count = len(runs.take) - length + 1
     if count < 1:
@@ -198,7 +199,7 @@ def _places(runs: WordRuns, mirrored: U64 | None, length: int, asked: Bool) -> _
 
 @nb.njit(cache=True, nogil=True)
 def _votes_with(take: I64, image: Bool, asked: Bool, i: int, j: int) -> bool:
-    """Return True if two occurrences vote: in different takes, one of them requested, and one mirrored if any is."""
+    """Return whether two occurrences vote: takes differ, one is requested, and one is mirrored if `image` is given."""
     if take[i] == take[j] or not (asked[take[i]] or asked[take[j]]):
         return False
     return len(image) == 0 or image[i] != image[j]
@@ -262,16 +263,16 @@ def _changes(*columns: I64) -> Bool:
 
 
 def plausible(words: U64, offsets: I64, mirrored: U64 | None, found: Alignments, rate_hz: float) -> Bool:
-    """Return a mask of the alignments that can be of one motion, judged by their words.
+    """Return a mask of the alignments whose takes may show the same motion, judged by their words.
 
     Parameters
     ----------
     words : uint64 array (L,)
-        The words of all takes laid end to end; `NO_WORD` in invalid frames.
+        The concatenated words of all takes; `NO_WORD` in invalid frames.
     offsets : int64 array (T + 1,)
-        Take i has the words offsets[i] to offsets[i + 1].
+        Take i has the words offsets[i] to offsets[i + 1] − 1.
     mirrored : uint64 array (L,), optional
-        The words with left and right exchanged; needed where an alignment is mirrored.
+        The words with left and right exchanged; required if an alignment is mirrored.
     found : Alignments
         The alignments of takes.
     rate_hz : float
@@ -280,7 +281,7 @@ def plausible(words: U64, offsets: I64, mirrored: U64 | None, found: Alignments,
     Returns
     -------
     bool array (A,)
-        False where the words differ too much.
+        False if the words differ too much.
     """
     differ = word_differences(words, offsets, mirrored, found, max(1, round(MIN_DURATION_S * rate_hz)))
     lengths = np.diff(offsets)
@@ -305,13 +306,13 @@ def word_differences(words: U64, offsets: I64, mirrored: U64 | None, found: Alig
     found : Alignments
         The alignments of takes.
     frames : int
-        The length of the intervals, or all that both takes have in common if that is less.
+        The length of the intervals; if the takes overlap in fewer frames, the overlap is used.
 
     Returns
     -------
     float64 array (A,)
-        The bits that differ between the takes over those that differ within the second take `LAG_FRAMES` apart; ∞ where
-        no word changes.
+        The number of bits that differ between the two takes, divided by the number of bits that differ between frames
+        of the second take that are `LAG_FRAMES` apart; ∞ if no word changes.
     """
     other = words if mirrored is None else mirrored
     return _differences(words, other, offsets, found, frames)

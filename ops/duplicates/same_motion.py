@@ -45,9 +45,9 @@ class SameMotion(NamedTuple):
     start, stop : int
         Frames of the second take.
     shift : float
-        Moment t of the second take is at t + shift of the first, in frames.
+        Time t of the second take corresponds to time t + shift of the first, in frames.
     distance_m : float
-        Mean distance of the joints, metres.
+        Mean distance of the joints in metres.
     """
 
     start: int
@@ -62,17 +62,16 @@ def local_poses(positions: F32, root: int, left: int, right: int, *, mirrored: b
     Parameters
     ----------
     positions : float32 array (T, J, 3)
-        Places in metres, Y up.
+        Positions in metres, Y up.
     root, left, right : int
         The joints of the root and of the left and right hip.
     mirrored : bool, optional
-        Exchange left and right: the joints must then be given with the names of the other side.
+        True to mirror the poses; `left`, `right` and the order of the joints must then be those of the other side.
 
     Returns
     -------
     float32 array (T, J, 3)
-        Positions that depend neither on the body's position nor on its facing direction; NaN where a joint is not
-        known.
+        Positions that depend neither on the body's position nor on its facing direction; NaN if a joint is not known.
     """
     return _local(positions, root, left, right, -1.0 if mirrored else 1.0)
 
@@ -108,7 +107,7 @@ def same_motion(first: F32, second: F32, shift: int, rate_hz: float) -> SameMoti
     shift : int
         Frame i of the second take is near frame i + shift of the first, up to one frame.
     rate_hz : float
-        Frames per second of both.
+        Frames per second of both takes.
 
     Returns
     -------

@@ -28,9 +28,9 @@ def overlap(a: tuple[float, float], b: tuple[float, float]) -> float:
 def average_precision(found: Sequence[TakeSegment], known: Sequence[TakeSegment], threshold: float) -> float:
     """Return the average precision of the segments of one class.
 
-    Segments are matched in order of decreasing confidence, each to the manual segment of its take that it overlaps most
-    among those not yet matched. It is a true positive if their intersection over union is at least the threshold. Ties
-    in confidence are ordered by take and time.
+    Automatic segments are processed in order of decreasing confidence; equal confidences are ordered by take and time.
+    Each is compared with the manual segment of its take that it overlaps most, of those not yet matched. It is a true
+    positive if their intersection over union is at least the threshold.
 
     Parameters
     ----------
@@ -39,13 +39,13 @@ def average_precision(found: Sequence[TakeSegment], known: Sequence[TakeSegment]
     known : sequence of TakeSegment
         The manual segments.
     threshold : float
-        In (0, 1].
+        The threshold of intersection over union, in (0, 1].
 
     Returns
     -------
     float
-        The area below the precision-recall curve, with interpolated precision (the greatest at any recall that is not
-        lower); NaN where there is no manual segment.
+        The area below the precision-recall curve, with interpolated precision (the maximum over all recalls that are
+        not lower); NaN if there is no manual segment.
 
     Raises
     ------
@@ -84,7 +84,7 @@ def _confidence(one: TakeSegment) -> float:
 def boundary_errors(found: Sequence[TakeSegment], known: Sequence[TakeSegment]) -> I64:
     """Return the differences in frames between automatic and manual boundaries.
 
-    Every manual segment is compared with the automatic one of its take that overlaps it most, if there is one.
+    Every manual segment is compared with the automatic segment of its take that overlaps it most, if there is any.
 
     Parameters
     ----------
@@ -96,7 +96,7 @@ def boundary_errors(found: Sequence[TakeSegment], known: Sequence[TakeSegment]) 
     Returns
     -------
     int64 array (M, 2)
-        Frames at start and stop; positive where the automatic boundary is late.
+        The differences at start and stop; positive if the automatic boundary is later.
     """
     errors = []
     for one in known:
@@ -117,8 +117,8 @@ def bootstrap(measure: Callable[..., float], *of_takes: Sequence[Counts], draws:
     Parameters
     ----------
     measure : callable
-        A function of the pooled counts of each evaluation; for instance `lambda counts: counts.f1`, or of two
-        evaluations `lambda ours, theirs: theirs.f1 - ours.f1`.
+        A function with one argument for each evaluation, its pooled counts; for instance `lambda counts: counts.f1`, or
+        for two evaluations `lambda ours, theirs: theirs.f1 - ours.f1`.
     *of_takes : sequences of Counts
         The counts of the same takes in each evaluation.
     draws : int
@@ -127,7 +127,7 @@ def bootstrap(measure: Callable[..., float], *of_takes: Sequence[Counts], draws:
     Returns
     -------
     (float, float)
-        The percentile interval; NaN twice where there is no take, or the measure is never defined.
+        The percentile interval; (NaN, NaN) if there is no take, or the measure is never defined.
 
     Raises
     ------

@@ -17,16 +17,16 @@ _ROUNDS = 100
 def split_groups(sizes: Sequence[float] | F64, shares: Sequence[float] | F64) -> I64:
     """Divide groups into splits whose fractions of the total size are as close as possible to the wanted fractions.
 
-    For few groups, all divisions are tried; otherwise groups are assigned greedily, the largest first, each to the
-    split that lacks most, and then moved and exchanged as long as this improves the shares. No split is empty. The
-    outcome depends on the order of the groups only where several are equally good.
+    For few groups, all divisions are tried. Otherwise groups are assigned greedily, the largest first, each to the
+    split that lacks most, and then moved and exchanged as long as this improves the fractions. No split is empty. The
+    result depends on the order of the groups only if several divisions are equally good.
 
     Parameters
     ----------
     sizes : sequence of float (G,)
         Size of each group, such as its seconds.
     shares : sequence of float (S,)
-        Wanted share of each split, above 0.
+        The wanted fraction of each split, above 0.
 
     Returns
     -------
@@ -95,7 +95,7 @@ def _move(chosen: I64, amounts: F64, goal: F64) -> bool:
     """Make the move of one group that improves the shares most; return False if none does."""
     held = _held(chosen, amounts, goal)
     over = held - goal
-    # the change of the squared errors where group g leaves its split for split k
+    # the change of the squared errors if group g moves from its split to split k
     gain = 2 * amounts[:, None] * (over[None, :] - over[chosen][:, None] + amounts[:, None])
     gain[np.arange(len(chosen)), chosen] = 0.0
     gain[np.bincount(chosen, minlength=len(goal))[chosen] == 1] = 0.0

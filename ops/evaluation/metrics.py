@@ -23,13 +23,13 @@ class Counts:
     frames_both, frames_automatic, frames_manual : int
         |M ∩ A|, |A| and |M|, in pairs of frame and class (thesis, Eq. 5.8 and 5.9).
     segments_automatic_hit : int
-        Automatic segments that overlap a manual one of their class.
+        The number of automatic segments that overlap a manual segment of their class.
     segments_automatic : int
-        All automatic segments.
+        The number of all automatic segments.
     segments_manual_hit : int
-        Manual segments that overlap an automatic one of their class.
+        The number of manual segments that overlap an automatic segment of their class.
     segments_manual : int
-        All manual segments.
+        The number of all manual segments.
     """
 
     frames_both: int = 0
@@ -77,8 +77,8 @@ class Counts:
 def f_measure(precision: float, recall: float) -> float:
     """Return the harmonic mean of precision and recall (thesis, Eq. 5.12).
 
-    It is 0 where one of them is 0 or only one is undefined (there were errors and no true positive), and NaN where both
-    are undefined.
+    The result is 0 if one of them is 0, or if only one is undefined (there are errors and no true positive). It is NaN
+    if both are undefined.
     """
     if math.isnan(precision) and math.isnan(recall):
         return math.nan
@@ -98,8 +98,8 @@ def compare(automatic: Bounds, manual: Bounds) -> Counts:
     Parameters
     ----------
     automatic, manual : int64 array (S, 2) or sequence of (int, int)
-        Half-open ranges of frames, in any order; those that overlap count each frame once but remain segments of their
-        own.
+        Half-open ranges of frames, in any order. Frames of overlapping ranges are counted once, but each range counts
+        as a segment.
 
     Returns
     -------
@@ -153,9 +153,9 @@ def precision_recall(relevant: Sequence[bool], total: int) -> tuple[F64, F64]:
     Parameters
     ----------
     relevant : sequence of bool
-        True where the entry at a rank, the best first, should be found; each entry occurs once.
+        For each rank, the best first, True if the entry at this rank should be found; each entry occurs once.
     total : int
-        The number of entries that should be found, those that the ranking misses included.
+        The number of all entries that should be found, including those that the ranking misses.
 
     Returns
     -------
@@ -176,7 +176,7 @@ def precision_recall(relevant: Sequence[bool], total: int) -> tuple[F64, F64]:
 def average_precision(relevant: Sequence[bool], total: int) -> float:
     """Return the mean of the precision at every relevant rank, counting 0 for each entry that is not found.
 
-    It is NaN where nothing should be found. Parameters and errors are those of `precision_recall`.
+    The result is NaN if no entry should be found. Parameters and errors are those of `precision_recall`.
     """
     precision, _ = precision_recall(relevant, total)
     return float(precision[np.asarray(relevant, np.bool_)].sum() / total) if total else math.nan

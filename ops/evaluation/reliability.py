@@ -29,8 +29,8 @@ def wilson(hits: int, total: int, level: float = 0.95) -> tuple[float, float]:
     Returns
     -------
     (float, float)
-        The shares p from which hits / total is no more than z standard errors √(p (1 − p) / total) away; (0, 1) where
-        there is no trial.
+        The interval of all proportions p for which hits / total differs from p by at most z standard errors
+        √(p (1 − p) / total); (0, 1) if there is no trial.
 
     Raises
     ------
@@ -64,11 +64,11 @@ class ConfidenceBin:
     low, high : float
         The edges.
     count, right : int
-        The number of segments, and of right ones.
+        The number of segments, and the number of those with the right label.
     confidence : float
-        Their mean confidence; NaN where there is none.
+        The mean confidence of the segments; NaN if there are none.
     share : float
-        The fraction of right ones; NaN where there is none.
+        The fraction of segments with the right label; NaN if there are none.
     interval : (float, float)
         The Wilson interval of the fraction, at 95 %, as if segments were independent.
     """
@@ -88,11 +88,11 @@ def reliability(confidences: F64, right: Bool, edges: Sequence[float] = EDGES) -
     Parameters
     ----------
     confidences : float64 array (S,)
-        From the first edge to the last.
+        Confidences, from the first edge to the last.
     right : bool array (S,)
         True where the label is right.
     edges : sequence of float
-        Ascending edges of the buckets.
+        Ascending edges of the bins.
     """
     _check(confidences, right)
     positions = np.clip(np.searchsorted(np.asarray(edges), confidences, side="right") - 1, 0, len(edges) - 2)
@@ -106,10 +106,10 @@ def reliability(confidences: F64, right: Bool, edges: Sequence[float] = EDGES) -
 
 
 def auroc(scores: F64, right: Bool) -> float:
-    """Return the probability that a right segment has a higher score than a wrong one; equal ones count half.
+    """Return the probability that a right segment has a higher score than a wrong one; ties count half.
 
-    It is the area under the receiver operating characteristic (Hanley and McNeil, 1982), NaN where all segments are
-    right or all are wrong.
+    This is the area under the receiver operating characteristic (Hanley and McNeil, 1982). It is NaN if all segments
+    are right or all are wrong.
 
     Parameters
     ----------

@@ -12,26 +12,26 @@ from kinedex.ops.evaluation.metrics import Bounds, Counts
 
 
 def threshold_counts(values: F64, manual: Bounds, thresholds: Sequence[float]) -> list[Counts]:
-    """Compare the runs of frames above each threshold with manual segments, as `metrics.compare` does once.
+    """Compare the runs of frames above each threshold with manual segments, like `metrics.compare` for one threshold.
 
-    A run at τ ends where the value falls to τ or less. So the number of runs is the number of frames above τ minus the
-    number of adjacent pairs that are both above τ. The number of runs that overlap a manual segment is the number of
-    manual frames above τ minus the pairs of successive manual frames between which no value falls to τ. All of these
-    count numbers above τ.
+    A run at τ ends when the value falls to τ or less. Hence the number of runs is the number of frames above τ minus
+    the number of adjacent pairs of frames that are both above τ. The number of runs that overlap a manual segment is
+    the number of manual frames above τ minus the number of pairs of successive manual frames between which all values
+    are above τ. Each of these is a count of numbers above τ, which a sorted array gives for all thresholds.
 
     Parameters
     ----------
     values : float64 array (T,)
         The value of each frame, without NaN.
     manual : int64 array (S, 2) or sequence of (int, int)
-        Half-open ranges of frames, in any order; those that overlap count each frame once.
+        Half-open ranges of frames, in any order; frames of overlapping ranges are counted once.
     thresholds : sequence of float
         The thresholds τ, ascending.
 
     Returns
     -------
     list of Counts
-        One for each threshold.
+        The counts for each threshold.
 
     Raises
     ------

@@ -1,8 +1,11 @@
 """This module measures the orientation error between a take and a sensor, and finds runs of large error.
 
-The error of a frame is the angle of D = q̄_T ∘ q_G ∘ q_I ∘ q̄_L, the rotation from the limb of the take to the limb
+The error e of a frame is the angle of D = q̄_T ∘ q_G ∘ q_I ∘ q̄_L, the rotation from the limb of the take to the limb
 that the sensor reports, in the segment's axes (thesis, Eq. 7.16). Its twist is the rotation about the limb's long axis,
-hardly visible in a mesh; its swing is the rotation of the long axis itself: cos(e/2) = cos(swing/2) · cos(twist/2).
+which is hardly visible in a mesh. Its swing is the rotation of the long axis itself. They satisfy
+cos(e/2) = cos(swing/2) · cos(twist/2).
+
+Quaternions are denoted as in `ops.inertial.hand_eye`; F_GI is the inertial world, with Z up.
 """
 
 from __future__ import annotations
@@ -60,13 +63,13 @@ def frame_errors(sensor: F64, track: F64, q_global: F64, q_mount: F64, axis: F64
 
     Returns
     -------
-    Errors
-        Degrees, 0 to 180.
+    OrientationErrors
+        The errors in degrees, 0 to 180.
 
     Raises
     ------
     ParameterError
-        Shapes do not agree, or the axis has no direction.
+        The shapes do not agree, or the axis is 0.
     """
     if sensor.shape != track.shape or sensor.ndim != 2 or sensor.shape[1] != 4:
         raise ParameterError("sensor and track", "both of shape (T, 4)", (sensor.shape, track.shape))
@@ -105,7 +108,8 @@ def _errors(sensor: F64, track: F64, q_global: F64, q_mount: F64, axis: F64, out
 def mount_direction(sensor: F64, directions: F64, q_global: F64) -> F64:
     """Return the limb's long axis in the sensor's axes, for limbs where only the long axis is known.
 
-    It is a weighted mean over the frames, (s²/(s² + e²))² with s = 12° in the first iteration and 6° in six more.
+    The result is a weighted mean over the frames, computed iteratively. A frame of error e has the weight
+    (s²/(s² + e²))², with s = 12° in the first iteration and 6° in the next six.
 
     Parameters
     ----------
@@ -174,17 +178,17 @@ def direction_errors(sensor: F64, directions: F64, q_global: F64, direction: F64
 def auto_tau(streams: Iterable[tuple[F64, Bool]]) -> float:
     """Choose τ from the errors: median + 4 robust standard deviations, at least 15°.
 
-    It fails where half of the frames are wrong.
+    The choice fails if half of the frames are wrong.
 
     Parameters
     ----------
     streams : iterable of (float64 array (T,), bool array (T,))
-        Errors in degrees of each limb, and the frames that count.
+        The errors of each limb in degrees, and the frames to use.
 
     Returns
     -------
     float
-        Degrees; 15 where no frame counts.
+        τ in degrees; 15 if there are no frames to use.
     """
     parts = [degrees[valid & np.isfinite(degrees)] for degrees, valid in streams]
     values = np.concatenate(parts) if parts else np.empty(0)
@@ -202,13 +206,13 @@ class RunRules:
     Attributes
     ----------
     tau_deg : float
-        A frame is wrong where its error is above τ.
+        The threshold τ in degrees; a frame is wrong if its error is above τ.
     low_deg : float or None
-        A run is extended on both sides while the error is above this; None disables it.
+        A run is extended on both sides as long as the error is above this; None for no extension.
     gap_s : float
-        Gaps between runs that are no longer than this are closed.
+        The duration in seconds up to which gaps between runs are closed.
     min_s : float
-        Runs shorter than this are dropped.
+        The duration in seconds below which runs are dropped.
     """
 
     tau_deg: float = TAU_DEG
@@ -227,7 +231,7 @@ class RunRules:
 
 
 class Run(NamedTuple):
-    """A run of frames [start, stop), with the largest and the mean error of its frames that count."""
+    """A run of frames [start, stop), with the largest and the mean error over its valid frames."""
 
     start: int
     stop: int
@@ -236,14 +240,15 @@ class Run(NamedTuple):
 
 
 def wrong_runs(degrees: F64, valid: Bool, rate_hz: float, rules: RunRules) -> list[Run]:
-    """Return the runs of wrong frames: above τ, then extended, gaps closed, and short runs dropped.
+    """Find the runs of frames above τ, extend them, close short gaps, and drop short runs.
 
     Parameters
     ----------
     degrees : float64 array (T,)
         Errors of the frames.
     valid : bool array (T,)
-        The frames that count. A run neither starts nor grows in others, but closed gaps may contain some.
+        The frames to use. A run neither starts in other frames nor is extended to them, but closed gaps may contain
+        some.
     rate_hz : float
         Frames per second.
     rules : RunRules
@@ -252,14 +257,14 @@ def wrong_runs(degrees: F64, valid: Bool, rate_hz: float, rules: RunRules) -> li
     Returns
     -------
     list of Run
-        In the order of time.
+        The runs in order of time.
     """
     counted = valid & np.isfinite(degrees)
     above = counted & (degrees > rules.tau_deg)
     ranges = flagged_ranges(above)
     if rules.low_deg is not None:
         grown = flagged_ranges(counted & (degrees > rules.low_deg))
-        # runs above τ lie within runs above the lower value, so the latter are kept if they contain one
+        # runs above τ lie within runs above the lower value; the latter are kept if they contain a run above τ
         holds = np.searchsorted(ranges[:, 0], grown[:, 1]) > np.searchsorted(ranges[:, 0], grown[:, 0])
         ranges = grown[holds]
     if len(ranges) and rules.gap_s > 0.0:

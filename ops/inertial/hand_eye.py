@@ -1,12 +1,13 @@
-"""This module calibrates sensors on limbs: the mount q_L of each and the inertial world q_G (thesis, Section 7.5).
+"""This module calibrates sensors on limbs: the mount q_L of each sensor and the inertial world q_G (thesis, 7.5).
 
-The model is q_I = q̄_G ∘ q_T ∘ q_L (Eq. 7.5): q_I sensor → inertial world, q_T segment → the take's world, q_L sensor →
-segment, q_G inertial world → the take's. The thesis solves it by the method of Park and Martin (Eqs. 7.9 to 7.14),
-which is not robust to wrong frames. Here the best of many hypotheses from few frames is chosen (`hypotheses`), followed
-by reweighted fits, in which wrong frames lose their weight. A fit needs one pass over the frames: the sum of w · (q_Gᵀ
-A q_L)² over frames, with the 4 × 4 matrix A of a frame, depends on them by 136 sums only. The calibration also measures
-how well a take's movements determine a sensor's mount. Heading drift is a slow rotation about the vertical of a sensor
-without a magnetometer; it is corrected.
+The model is q_I = q̄_G ∘ q_T ∘ q_L (Eq. 7.5), with the rotations q_I: sensor → inertial world, q_T: segment → the take's
+world, q_L: sensor → segment, and q_G: inertial world → the take's world. The thesis solves it by the method of Park and
+Martin (Eqs. 7.9 to 7.14), which is not robust to wrong frames. This module chooses the best of many hypotheses from few
+frames (`hypotheses`), followed by reweighted fits, in which wrong frames lose their weight. A fit needs one pass over
+the frames: the sum of w · (q_Gᵀ A q_L)², with a 4 × 4 matrix A for each frame, depends on the frames only by 136 sums.
+
+The calibration also measures how well a take's movements determine a sensor's mount. It corrects heading drift, a slow
+rotation about the vertical of the orientations of a sensor without a magnetometer.
 """
 
 from __future__ import annotations
@@ -40,7 +41,7 @@ REFUSED, DOUBTFUL = 0.002, 0.02
 """Eigenvalues below which a mount is refused, and below which it is doubtful."""
 
 TILTED_DEG, FEW = 3.0, 0.4
-"""Tilt of q_G in degrees above which there is a warning, and fraction of fitting frames below which there is one."""
+"""Thresholds for a warning: the largest tilt of q_G in degrees, and the smallest fraction of frames that fit."""
 
 
 @dataclass(frozen=True)
@@ -90,7 +91,7 @@ def heading_deg(sensor: F64, track: F64, q_global: F64, q_mount: F64) -> F64:
 
 
 def fit_drift(times: F64, headings: F64) -> HeadingDrift:
-    """Fit a piecewise linear curve to headings, reweighted so that wrong frames lose their influence.
+    """Fit a piecewise linear curve to heading errors by reweighted least squares, so that wrong frames lose influence.
 
     Parameters
     ----------
@@ -177,11 +178,12 @@ class Options:
     Attributes
     ----------
     shared : bool
-        All streams have one inertial world q_G, which needs a magnetometer; else each stream has its own.
+        True if all streams have the same inertial world q_G, which needs magnetometers; False to fit one per stream.
     vertical_known : bool
-        The take's Y axis is gravity's vertical, so that q_G is a rotation about it; else all of q_G is fitted.
+        True if the take's Y axis is vertical, so that q_G is known except for a rotation about it; False to fit all of
+        q_G.
     drift : bool
-        The heading of each stream drifts slowly, and is corrected.
+        True to correct a slow drift of the heading of each stream.
     seed : int
         The seed of the random hypotheses.
     """
@@ -207,11 +209,12 @@ class StreamFit:
     inliers : float
         The fraction of these frames with an error below 15°.
     median_deg : float
-        The median error of those.
+        The median error in degrees of the frames with an error below 15°.
     observability : float
-        The smallest eigenvalue of the normal matrix of q_G and q_L; 0 where a direction is free.
+        The smallest eigenvalue of the normal matrix of q_G and q_L; 0 if a rotation is undetermined.
     tilt_deg : float
-        The angle between the inertial world's vertical and the take's; 0 where the vertical is known.
+        The angle in degrees between the vertical axes of the inertial world and of the take; 0 if the vertical is
+        known.
     refused : str
         The reason why the mount cannot be determined; empty if it can.
     warning : str
@@ -231,7 +234,7 @@ class StreamFit:
 
 
 class _Fit(NamedTuple):
-    """The rotations of a calibration: of each world (G, 4), of each mount (M, 4), and the weight of each frame."""
+    """The result of a fit: q_G of each world (G, 4), q_L of each mount (M, 4), and the weight of each frame."""
 
     worlds: F64
     mounts: F64
@@ -261,19 +264,19 @@ def calibrate(
     options : Options
         The assumptions.
     mounts : mapping of str to float64 array (4,), optional
-        q_L of limbs that is known from another take; the others are fitted.
+        Known values of q_L by limb, from another take; q_L of other limbs is fitted.
     world : float64 array (4,), optional
-        q_G that is known from another take; with `shared` only.
+        Known value of q_G, from another take; only allowed with `shared`.
 
     Returns
     -------
     list of StreamFit
-        One for each stream; `refused` is set where the movements do not determine the mount.
+        The fit of each stream; `refused` is set if the movements do not determine the mount.
 
     Raises
     ------
     ParameterError
-        No streams, a given world without `shared`, or a stream without a frame that may be fitted.
+        There is no stream, `world` is given without `shared`, or a stream has no frame that may be fitted.
     """
     if not streams:
         raise ParameterError("streams", "one or more", "none")
@@ -467,7 +470,7 @@ def _first_eigenvectors(sums: F64, others: F64, group: I64, groups: int, upright
 
 
 def _drift_on_top(drift: HeadingDrift, times: F64, part: tuple[F64, F64], fit: _Fit, unit: Unit) -> HeadingDrift:
-    """Return the drift of a stream, with the remaining drift after the last correction added to it."""
+    """Return the drift of a stream plus the drift that remains after its correction."""
     left = fit_drift(times, heading_deg(*part, fit.worlds[unit.world], fit.mounts[unit.mount]))
     if not len(left.times) or not len(drift.times):
         return left if len(left.times) else drift
@@ -526,8 +529,9 @@ def _tilt_deg(world: F64) -> float:
 def least_eigenvalues(units: Sequence[Unit], worlds: F64, weights: Sequence[F64], vertical_known: bool) -> list[float]:
     """Compute the smallest eigenvalue of each mount's normal matrix, divided by the weights' sum.
 
-    The unknowns are small rotations of q_L and of each q_G that its units have; the row of a frame is [R(q̄_T ∘ q_G),
-    −1]. With one q_G it is 1 − |M|₂, M the weighted mean of R(q̄_T ∘ q_G); with the vertical known, 1 − |M z|.
+    The unknowns are small rotations of q_L and of each q_G of the mount's units; the row of a frame is
+    [R(q̄_T ∘ q_G), −1]. With a single q_G, the eigenvalue is 1 − |M|₂, where M is the weighted mean of R(q̄_T ∘ q_G); if
+    the vertical is known, it is 1 − |M z|.
 
     Parameters
     ----------
@@ -570,7 +574,7 @@ def refusal(limb: str, value: float, level: float, vertical_known: bool, several
     limb : str
         The limb's name.
     value : float
-        The smallest eigenvalue of this mount, or a larger one of a limb that shares its q_G.
+        The smallest eigenvalue of this mount, or that of another limb with the same q_G if it is larger.
     level : float
         The smallest eigenvalue with the vertical known.
     vertical_known : bool
@@ -598,7 +602,7 @@ def warning(limb: str, value: float, tilt_deg: float, inliers: float) -> str:
     limb : str
         The limb's name.
     value : float
-        The smallest eigenvalue of this mount, or a larger one of a limb that shares its q_G.
+        The smallest eigenvalue of this mount, or that of another limb with the same q_G if it is larger.
     tilt_deg : float
         The angle between the inertial world's vertical and the take's.
     inliers : float

@@ -1,7 +1,8 @@
-"""This module finds robust initial values of a calibration: many hypotheses from few frames each, and the best of them.
+"""This module finds robust initial values of a calibration, as the best of many hypotheses from few frames each.
 
-A *unit* is the frames of one limb whose sensor has one mount and one inertial world: one sensor in one recording, or in
-several with `shared`. Hypotheses are compared on evenly spread frames, at most `MAX_FRAMES` of each unit.
+A *unit* consists of all frames of a limb with the same mount and the same inertial world: those of one recording, or of
+several recordings that share an inertial world. Hypotheses are compared on at most `MAX_FRAMES` frames of each unit,
+spread evenly.
 """
 
 from __future__ import annotations
@@ -35,13 +36,13 @@ BEST = 5
 """The number of hypotheses of each unit that are compared over all units with the same inertial world."""
 
 EVERY = 6
-"""Step of the compared frames from which a mount is computed as a hypothesis."""
+"""Interval of frames: every sixth of the compared frames gives a hypothesis of the mount."""
 
 CLIP_DEG = 15.0
-"""Error in degrees at which errors are clipped, so that wrong frames cost the same, however wrong they are."""
+"""Error in degrees at which errors are clipped, so that all wrong frames have the same cost."""
 
 UPRIGHT = np.stack([Z_TO_Y, multiply(Z_TO_Y, np.array([0.0, 0.0, 0.0, 1.0]))])
-"""The plane (2, 4) of quaternions that map Z to Y, which contains q_G where the vertical is known."""
+"""Basis (2, 4) of the quaternions that map Z to Y, which q_G is one of if the vertical is known."""
 
 
 class Unit(NamedTuple):
@@ -70,7 +71,7 @@ class Unit(NamedTuple):
 
 
 def upright(q: F64) -> F64:
-    """Return the nearest rotations (..., 4) that map Z to Y; a rotation orthogonal to all of them becomes one."""
+    """Return the nearest rotations (..., 4) that map Z to Y; if there is no nearest one, an arbitrary rotation."""
     shares = q @ UPRIGHT.T
     length = np.sqrt(np.einsum("...a,...a->...", shares, shares))[..., None]
     lost = length < 1e-9
@@ -138,16 +139,16 @@ def best_world(
     units : sequence of Unit
         Spread frames.
     frames : sequence of int
-        The number of all frames of each unit, which its cost is multiplied by.
+        The number of all frames of each unit, by which its cost is multiplied.
     guesses : float64 array (C, 4)
-        Guesses of q_G.
+        Hypotheses of q_G.
     held : sequence of (float64 array (4,) or None)
-        The mount of each unit where it is known.
+        The mount of each unit; None if it is not known.
 
     Returns
     -------
     tuple[float64 array (4,), float64 array (U, 4), float]
-        The best q_G, the mount of each unit with it, and its cost.
+        The best q_G, the mount of each unit for this q_G, and the cost.
     """
     total = np.zeros(len(guesses))
     mounts = np.empty((len(units), len(guesses), 4))

@@ -20,7 +20,7 @@ KINDS = ("drift", "subtle", "twist", "swap", "freeze")
 DRIFT_DEG, SUBTLE_DEG, TWIST_DEG = (60.0, 140.0), (25.0, 60.0), (60.0, 180.0)
 TWIST_S = 0.1
 FIRST_S, LENGTH_S, BETWEEN_S = (0.5, 2.5), (0.5, 3.0), (2.0, 6.0)
-"""Ranges in seconds: before the first error, of the length of each, and from the end of one to the next."""
+"""Ranges in seconds of the time before the first error, of the length of an error, and of the time between errors."""
 
 LABEL_DEG = 20.0
 """Error in degrees from which frames are labelled as wrong."""
@@ -40,9 +40,9 @@ class InjectedError:
     kind : str
         One of `KINDS`.
     start, stop : int
-        Its frames.
+        The half-open range of frames.
     degrees : float
-        Its largest angle; NaN where that follows from the motion (swap, freeze).
+        The largest angle of the error; NaN if the angle follows from the motion (swap, freeze).
     """
 
     kind: str
@@ -84,7 +84,7 @@ def inject(
     Parameters
     ----------
     orientation : float64 array (T, 4)
-        Unit quaternions w x y z, segment → world; NaN where they are not known, which is kept.
+        Unit quaternions w x y z, segment → world; unknown quaternions are NaN, and remain NaN.
     rate_hz : float
         Frames per second.
     axis : float64 array (3,)
@@ -92,8 +92,8 @@ def inject(
     random : Generator
         Random numbers; the same state gives the same errors.
     other_side : float64 array (T, 4), optional
-        Orientations of the other side's limb in this limb's frame, see `as_other_side`; without them there are no
-        `swap` errors.
+        Orientations of the limb on the other side in this limb's frame, see `as_other_side`; without them, no `swap`
+        errors are injected.
 
     Returns
     -------
@@ -137,9 +137,9 @@ def as_other_side(other: F64, other_axis: F64, axis: F64) -> F64:
     Parameters
     ----------
     other : float64 array (T, 4)
-        Orientations of the other side's limb.
+        Orientations of the limb on the other side.
     other_axis, axis : float64 array (3,)
-        The long axes of both, each in its own frame.
+        The long axes of the other limb and of this limb, each in the frame of the limb.
     """
     cross, cosine = np.cross(axis, other_axis), float(axis @ other_axis)
     sine = float(np.linalg.norm(cross))

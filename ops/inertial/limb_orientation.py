@@ -1,7 +1,7 @@
 """This module computes limb orientations from markers or from hinge joints, and finds frames of solver jumps.
 
-The basis of an orientation is one of `full` (a node's rotation, or three or more markers of a segment), `hinge` (the
-long axis and the plane of the neighbouring joint) and `none` (the long axis alone).
+There are three kinds of data from which an orientation is computed: `full` (the rotation of a node, or three or more
+markers of a segment), `hinge` (the long axis and the plane of a hinge joint) and `none` (only the long axis).
 """
 
 from __future__ import annotations
@@ -22,10 +22,10 @@ MIN_SPREAD_M = 0.02
 """
 
 MIN_BEND_DEG = 15.0
-"""Angle in degrees below which the bend of a hinge does not determine its plane."""
+"""Bend of a hinge in degrees below which the joints do not determine the plane of the hinge."""
 
 FASTEST_DEG_S = 2500.0
-"""Rotation speed in degrees per second above which the solver has jumped."""
+"""Rotation speed in degrees per second that no person reaches; a faster rotation is a jump of the solver."""
 
 SHAPE_ROUNDS = 5
 
@@ -45,7 +45,7 @@ class SegmentFit:
     shape : float64 array (M, 3)
         The median shape about its centre, oriented as in the first complete frame.
     spread_m : float
-        Its second singular value.
+        The second singular value of the shape in metres.
     """
 
     orientation: F64
@@ -58,13 +58,13 @@ class SegmentFit:
 def segment_orientation(markers: F64) -> SegmentFit:
     """Return the orientation of a rigid segment by Kabsch's fit of its markers to their median shape.
 
-    All frames are aligned to the first complete one, and the median of each marker gives the next shape; this is
-    repeated five times.
+    The first shape is that of the first complete frame. All frames are aligned to the shape, and the median position of
+    each marker gives the next shape; this is repeated five times.
 
     Parameters
     ----------
     markers : float64 array (T, M, 3)
-        Places of three or more markers in metres; NaN where one was not seen.
+        Positions of three or more markers in metres; NaN if a marker was not seen.
 
     Raises
     ------
@@ -141,9 +141,9 @@ def unit_direction(near: F64, far: F64) -> F64:
 def hinge_orientation(near: F64, far: F64, bend: F64, beyond: bool) -> tuple[F64, Bool]:
     """Return the orientation of a limb from its long axis and the plane of a hinge.
 
-    X of the segment is the long axis and Z the normal of the plane. Where the hinge bends less than 15°, the last good
-    normal is propagated by the shortest rotation of the long axis; before the first good frame it is propagated
-    backwards.
+    X of the segment is the long axis, and Z is the normal of the plane. In frames in which the hinge bends by less than
+    15°, the last good normal is carried on by the shortest rotation of the long axis. Before the first good frame, the
+    first good normal is carried backwards in time.
 
     Parameters
     ----------
@@ -152,14 +152,14 @@ def hinge_orientation(near: F64, far: F64, bend: F64, beyond: bool) -> tuple[F64
     bend : float64 array (T, 3)
         The third joint of the hinge.
     beyond : bool
-        True if it is beyond the far end (the ankle for a thigh), False if it comes before the near end.
+        True if the third joint is beyond the far end (the ankle for a thigh), False if it is before the near end.
 
     Returns
     -------
     orientation : float64 array (T, 4)
         Unit quaternions w x y z; NaN in invalid frames.
     valid : bool array (T,)
-        The frames in which the ends are known, all False where the hinge never bends.
+        The frames in which the ends are known; False in all frames if the hinge never bends.
     """
     if not near.shape == far.shape == bend.shape or near.ndim != 2 or near.shape[1] != 3:
         raise ParameterError("near, far and bend", "of one shape (frames, 3)", (near.shape, far.shape, bend.shape))
@@ -240,7 +240,7 @@ def long_axis(orientation: F64, direction: F64) -> F64:
     Returns
     -------
     float64 array (3,)
-        A unit vector; NaN where no frame has both.
+        A unit vector; NaN if orientation and direction are known together in no frame.
     """
     known = np.isfinite(orientation).all(axis=1) & np.isfinite(direction).all(axis=1)
     if not known.any():

@@ -27,7 +27,7 @@ def lowpass(values: F64, rate_hz: float, cutoff_hz: float, padding: int = MIN_PA
     rate_hz : float
         Values per second.
     cutoff_hz : float
-        The frequency whose amplitude is halved by both passes together; below half of the rate.
+        The frequency in Hz at which both passes together halve the amplitude; it must be below half of the rate.
     padding : int, optional
         Number of values by which both ends are extended; less than T.
 

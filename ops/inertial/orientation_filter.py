@@ -1,10 +1,10 @@
-"""This module estimates sensor orientations from raw readings by the filter VQF (Laidig and Seel 2023), an extra.
+"""This module estimates sensor orientations from raw readings by the optional filter VQF (Laidig and Seel 2023).
 
-A magnetised case adds a vector b to the field in the sensor's axes. If b has a hundredth of the strength of the field,
-headings are wrong by up to about a degree, depending on the pose. The readings m fulfil R m = m₀ + R b, with the field
-m₀ in the world and the sensor's rotation R from gyroscope and accelerometer alone; the equation is linear in m₀ and b.
-Rooms distort the field, too, so b is a maximum a posteriori estimate with a normal prior; since errors are correlated
-over time, they count as fewer independent ones.
+It also estimates the offset of a magnetometer. A magnetised case adds a vector b to the field in the sensor's axes. If
+b has a hundredth of the strength of the field, headings are wrong by up to about a degree, depending on the pose. The
+readings m satisfy R m = m₀ + R b, where m₀ is the field in the world and R the sensor's rotation, which is computed
+without the magnetometer. The equation is linear in m₀ and b. Since rooms distort the field as well, b is a maximum a
+posteriori estimate with a normal prior. Errors are correlated over time, which reduces their weight.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ PRIOR = 0.01
 """Standard deviation of the offset of a calibrated magnetometer on each axis, as a fraction of the field."""
 
 LIKELY = 4.0
-"""Length of an offset in standard deviations from which the magnetometer counts as uncalibrated, and the prior widens.
+"""Length of an offset, in standard deviations of the prior, from which the magnetometer counts as uncalibrated.
 """
 
 MIN_CORRELATED_S = 1.0
@@ -61,7 +61,8 @@ def field_offset(rate_hz: float, orientation: F64, mag: F64) -> F64:
     Returns
     -------
     float64 array (3,)
-        In the unit of the readings; subtracting it calibrates them. Zeros without rotation or without field readings.
+        The offset in the unit of the readings; subtracting it from the readings calibrates them. It is 0 if the sensor
+        does not rotate or has no readings of the field.
 
     Raises
     ------
@@ -135,7 +136,7 @@ def estimate(rate_hz: float, acc: F64, gyr: F64, mag: F64 | None = None) -> F64:
     gyr : float64 array (T, 3)
         Angular velocity in rad/s.
     mag : float64 array (T, 3) or None
-        Magnetic field in any unit; None: the heading is arbitrary, and drifts.
+        Magnetic field in any unit. If it is None, the heading is arbitrary, and drifts.
 
     Returns
     -------
@@ -196,7 +197,8 @@ def field_axis(quaternions: F64, mag: F64) -> str:
     Returns
     -------
     str
-        "north-west-up" where the field lies along X (F_GI), "east-north-up" where it lies along Y, else "unknown".
+        "north-west-up" if the horizontal field lies along X (as in F_GI), "east-north-up" if it lies along Y, otherwise
+        "unknown".
     """
     known = np.isfinite(quaternions).all(axis=1) & np.isfinite(mag).all(axis=1)
     if not known.any():

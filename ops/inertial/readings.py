@@ -1,4 +1,4 @@
-"""This module checks a sensor's readings against each other: gravity, rates, orientations, rest, missing samples."""
+"""This module compares a sensor's readings with each other, finds rest, and interpolates missing samples."""
 
 from __future__ import annotations
 
@@ -102,8 +102,8 @@ def rests(
 ) -> list[tuple[float, float]]:
     """Return the intervals in which a sensor is at rest.
 
-    At rest its angular velocity is below 0.1 rad/s, and its specific force differs by less than 2 % of gravity from the
-    mean of the half second around.
+    At rest, the angular velocity is below 0.1 rad/s, and the specific force differs by less than 2 % of gravity from
+    its mean over half a second around the sample.
 
     Parameters
     ----------
@@ -114,7 +114,7 @@ def rests(
     acc, gyr : float64 array (T, 3) or None
         Specific force in m/s², angular velocity in rad/s.
     shortest_s : float
-        Shorter intervals are ignored.
+        The duration in seconds below which intervals are ignored.
 
     Returns
     -------
@@ -147,12 +147,12 @@ def bridge(times: F64, values: F64, longest_gap_s: float) -> F64:
     values : float64 array (T, 3) or (T, 4)
         Vectors, or unit quaternions; a row with a NaN is missing.
     longest_gap_s : float
-        The longest time in seconds between two known samples over which is interpolated.
+        The longest time in seconds between two known samples that is bridged by interpolation.
 
     Returns
     -------
     float64 array
-        Of the same shape; rows of NaN where nothing is known.
+        The values, of the same shape; rows that remain unknown are NaN.
     """
     missing = ~np.isfinite(values).all(axis=1)
     if not missing.any():

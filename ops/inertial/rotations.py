@@ -16,10 +16,10 @@ from kinedex.ops.body import kinematics, transforms
 from kinedex.ops.errors import ParameterError
 
 Z_TO_Y = np.array([np.sqrt(0.5), -np.sqrt(0.5), 0.0, 0.0])
-"""The rotation from a world with Z up to the take's with Y up."""
+"""The rotation from a world with Z up to the take's world with Y up."""
 
 LONGEST_GAP_S = 0.05
-"""The longest time in seconds between samples over which is interpolated."""
+"""The longest time in seconds between two samples that is bridged by interpolation."""
 
 _SMALL = 1e-12  # length of the imaginary part below which the rotation vector is taken as twice that part
 
@@ -86,8 +86,8 @@ def exp(v: F64) -> F64:
 def log(q: F64) -> F64:
     """Return the rotation vectors (..., 3) in radians, at most π long, of unit quaternions (..., 4).
 
-    Thesis, Eq. 7.10, with a sign that is missing there: without it, a quaternion with a negative real part gives an
-    angle above π.
+    This is Eq. 7.10 of the thesis with a correction of the sign, without which a quaternion with a negative real part
+    would give an angle above π.
     """
     q = np.where(q[..., :1] < 0.0, -q, q)
     imaginary = q[..., 1:]
@@ -100,7 +100,7 @@ def log(q: F64) -> F64:
 def distance_deg(p: F64, q: F64) -> F64:
     """Return the angles (...) in degrees, 0 to 180, by which rotations p and q (..., 4) differ.
 
-    Thesis, Eq. 7.2, by the arctangent: the arccosine loses half of the digits near 0.
+    This is Eq. 7.2 of the thesis, computed with the arctangent, since the arccosine loses half of the digits near 0.
     """
     between = multiply(conjugate(p), q)
     sine = np.sqrt(np.einsum("...a,...a->...", between[..., 1:], between[..., 1:]))
@@ -141,7 +141,7 @@ def interpolate(times: F64, quaternions: F64, at: F64, longest_gap_s: float = LO
     at : float64 array (N,)
         The wanted times in seconds.
     longest_gap_s : float
-        The longest time in seconds between two known samples over which is interpolated.
+        The longest time in seconds between two known samples that is bridged by interpolation.
 
     Returns
     -------
@@ -151,7 +151,7 @@ def interpolate(times: F64, quaternions: F64, at: F64, longest_gap_s: float = LO
     Raises
     ------
     ParameterError
-        Shapes do not agree, or times descend.
+        The shapes do not agree, or the times do not ascend.
     """
     if quaternions.shape != (len(times), 4):
         raise ParameterError("quaternions", f"of shape ({len(times)}, 4), one for each time", quaternions.shape)

@@ -1,11 +1,11 @@
 """This module simulates an ideal inertial sensor on a limb: rates, specific force and field (thesis, Appendix A).
 
-The inertial world F_GI has X to magnetic north, Y to the west and Z up; the world of a take has Y up. Rates are those
-of the sensor's own axes. Algorithm 5 of the thesis, Im(q_k ∘ q̄_{k−1}), gives rates in global axes; Eq. A.22 is one
-sample late. Both are corrected here.
+In the inertial world F_GI, X points to magnetic north, Y to the west and Z up; in the world of a take, Y points up. The
+angular rates are in the sensor's axes. The thesis is corrected in two places: Algorithm 5, Im(q_k ∘ q̄_{k−1}), gives
+rates in global axes, and Eq. A.22 is one sample late.
 
-A `Grade` has the errors of real sensors: noise, bias, scale, range, resolution, gaps, clocks and magnets. It includes
-soft tissue. Errors that a grade does not set are 0, and a grade without any error keeps the ideal readings.
+A `Grade` defines the errors of real sensors: noise, bias, scale, range, resolution, gaps, clocks, magnets and the
+movement of soft tissue. Errors that a grade does not set are 0, and without any error the readings are ideal.
 """
 
 from __future__ import annotations
@@ -72,16 +72,16 @@ def magnetic_field(
     Parameters
     ----------
     strength_ut : float, optional
-        Its strength in µT.
+        The strength of the field in µT.
     inclination_deg : float, optional
-        Degrees by which it points below the horizon.
+        The angle in degrees by which the field points below the horizon.
     declination_deg : float, optional
-        Degrees between X and magnetic north; 0 where X is magnetic north.
+        The angle in degrees between X and magnetic north, which is 0 in F_GI.
 
     Returns
     -------
     float64 array (3,)
-        In µT.
+        The field in µT.
     """
     phi, theta = np.radians(inclination_deg), np.radians(declination_deg)
     return strength_ut * np.array([np.cos(phi) * np.cos(theta), -np.cos(phi) * np.sin(theta), -np.sin(phi)])
@@ -110,13 +110,13 @@ def sensor_motion(
     orientation : float64 array (T, 4)
         Unit quaternions of the limb, segment → the take's world.
     at : float64 array (N,)
-        Evenly spaced times within these, at which the sensor samples.
+        The evenly spaced times of the sensor's samples, within the times of the frames.
     q_global : float64 array (4,)
         F_GI → the take's world.
     q_mount : float64 array (4,)
         Sensor → segment.
     lever : float64 array (3,), optional
-        From the point to the sensor, in metres and in the segment's axes.
+        The vector from the point to the sensor in metres, in the segment's axes.
     cutoff_hz : float, optional
         Frequency in Hz at which positions and orientations are smoothed; no smoothing if the rate is not above twice
         the frequency.
@@ -124,7 +124,7 @@ def sensor_motion(
     Raises
     ------
     ParameterError
-        There are fewer than 8 frames, a frame is not known, or a time lies outside.
+        There are fewer than 8 frames, a frame is not known, or a time of `at` lies outside the frames.
     MissingPackageError
         The package scipy is not installed.
     """
@@ -170,7 +170,8 @@ def smooth(values: F64, rate_hz: float, cutoff_hz: float) -> F64:
 def gyroscope_rates(orientation: F64, rate_hz: float) -> F64:
     """Return a gyroscope's readings: the rotation since the previous sample over the time step, in sensor axes.
 
-    Integrating the rates reproduces the orientations; with central differences, a filter would be half a sample ahead.
+    Integrating the rates reproduces the orientations. With central differences instead, integrated orientations would
+    be half a sample ahead.
 
     Parameters
     ----------
@@ -228,9 +229,9 @@ class ChannelErrors:
     axis_deg : float
         Standard deviation of the angles between the axes and those of the case, in degrees.
     range : float
-        Largest reading; larger ones are clipped, and flagged. 0: no limit.
+        Largest reading; larger values are clipped and flagged. 0 for no limit.
     resolution : float
-        Readings are multiples of it. 0: any number.
+        Step of the readings, which are multiples of it. 0 for no rounding.
     """
 
     density: float = 0.0
@@ -249,13 +250,13 @@ class Grade:
     Attributes
     ----------
     acc, gyr, mag : ChannelErrors
-        In m/s², rad/s and µT.
+        The errors of accelerometer, gyroscope and magnetometer in m/s², rad/s and µT.
     gaps_per_minute, gap_s : float
         Number of gaps per minute, and the longest gap in seconds.
     clock_offset_s, clock_ppm : float
         Largest offset of the clock in seconds, and standard deviation of its drift in parts per million.
     magnets_per_minute, magnet_ut, magnet_s : float
-        Number of passing magnets per minute, the strength of its field in µT, and its duration in seconds.
+        Number of passing magnets per minute, and the strength in µT and duration in seconds of the field of a magnet.
     soft_tissue_deg : float
         Root mean square rotation of the sensor relative to the bone, in degrees.
     """
@@ -280,7 +281,7 @@ class Readings:
     Attributes
     ----------
     acc, gyr, mag : float64 array (N, 3)
-        Specific force in m/s², turn rates in rad/s and field in µT; NaN in gaps.
+        Specific force in m/s², angular velocity in rad/s and field in µT; NaN in gaps.
     orientation : float64 array (N, 4)
         The true orientation of the sensor, sensor → F_GI, soft tissue included.
     clipped : bool array (N,)
@@ -299,7 +300,7 @@ class Readings:
 
 @dataclass(frozen=True)
 class Clock:
-    """A sensor's clock: its time is the take's, plus an offset, plus a drift in parts per million."""
+    """A sensor's clock, whose time is the time t of the take plus offset_s + ppm · 10⁻⁶ · t."""
 
     offset_s: float = 0.0
     ppm: float = 0.0
@@ -328,7 +329,7 @@ def random_mount(random: np.random.Generator) -> F64:
 
 
 def random_clock(grade: Grade, random: np.random.Generator) -> Clock:
-    """Draw a clock of a grade: its offset is uniform up to the largest one, its drift is normal."""
+    """Draw a clock of a grade, with an offset uniform up to the grade's largest offset, and a normal drift."""
     offset_s = random.uniform(-grade.clock_offset_s, grade.clock_offset_s)
     return Clock(float(offset_s), float(grade.clock_ppm * random.standard_normal()))
 
@@ -341,7 +342,7 @@ def measured(motion: SensorMotion, grade: Grade, field_ut: F64, random: np.rando
     motion : SensorMotion
         The true motion of the sensor.
     grade : Grade
-        Its errors.
+        The errors of the sensor.
     field_ut : float64 array (3,)
         The magnetic field in F_GI in µT.
     random : Generator

@@ -1,8 +1,8 @@
 """This module finds the offset and drift of a sensor's clock: t_sensor = t_take + offset + ppm · 10⁻⁶ · t_take.
 
-The thesis correlates magnitudes of accelerations (Section 7.6.1). Here angular speeds are correlated first: they do not
-depend on the worlds of take and sensor or on the sensor's position on the limb, and need no second derivative. After a
-first calibration, the final offset is the one near it with the smallest orientation errors.
+The thesis correlates magnitudes of accelerations (Section 7.6.1). This module first correlates angular speeds, which do
+not depend on the worlds of take and sensor or on the sensor's position on the limb, and need no second derivative.
+After a first calibration with this offset, a fine search nearby finds the offset of the smallest orientation errors.
 """
 
 from __future__ import annotations
@@ -62,7 +62,7 @@ class TimeOffset(NamedTuple):
     correlation : float
         The correlation at the peak, −1 to 1; NaN if no lag is admissible.
     next_best : float
-        The largest correlation 0.25 s or farther from the peak; NaN where there is none.
+        The largest correlation at a distance of at least 0.25 s from the peak; NaN if there is none.
     refused : str
         The reason why the offset is not reliable; empty if it is.
     """
@@ -74,7 +74,7 @@ class TimeOffset(NamedTuple):
 
 
 class FineSearch(NamedTuple):
-    """Predicted and measured orientations of one limb's sensor, for the errors at any offset in the fine search.
+    """Predicted and measured orientations of the sensor on a limb, which the fine search compares at any offset.
 
     Attributes
     ----------
@@ -95,7 +95,7 @@ class FineSearch(NamedTuple):
 
 
 def sensor_speed(times: F64, gyr: F64 | None, orientation: F64 | None) -> tuple[F64, F64]:
-    """Return times and angular speeds (rad/s) of a sensor: its gyroscope's, or those of its orientations.
+    """Return times and angular speeds (rad/s) of a sensor, from its gyroscope, or else from its orientations.
 
     Parameters
     ----------
@@ -104,12 +104,12 @@ def sensor_speed(times: F64, gyr: F64 | None, orientation: F64 | None) -> tuple[
     gyr : float64 array (T, 3) or None
         Angular velocity in rad/s; NaN where unknown.
     orientation : float64 array (T, 4) or None
-        Used without a gyroscope.
+        Unit quaternions, which are used if there is no gyroscope.
 
     Raises
     ------
     ParameterError
-        The sensor has neither.
+        The sensor has neither angular velocities nor orientations.
     """
     if gyr is not None:
         return times, np.sqrt(np.einsum("ta,ta->t", gyr, gyr))
@@ -126,7 +126,7 @@ def find_offset(limbs: Sequence[Speeds], longest_s: float | None = None) -> Time
     limbs : sequence of Speeds
         The limbs of one take and one recording, whose sensors share a clock.
     longest_s : float, optional
-        The greatest absolute offset in seconds; others are excluded, also as next best.
+        The largest absolute offset in seconds; larger offsets are excluded, also for `next_best`.
 
     Returns
     -------
@@ -136,7 +136,7 @@ def find_offset(limbs: Sequence[Speeds], longest_s: float | None = None) -> Time
     Raises
     ------
     ParameterError
-        No limbs, or `longest_s` is not positive.
+        There are no limbs, or `longest_s` is not positive.
     """
     if not limbs:
         raise ParameterError("limbs", "one or more", "none")
@@ -194,8 +194,9 @@ def correlation(take: F64, sensor: F64) -> F64:
     Returns
     -------
     float64 array (T + N − 1,)
-        For lags −(T − 1) to N − 1: at lag k, take[i] meets sensor[i + k]. −1 where the overlap is below 3 s or half
-        of the shorter one, or holds less than 10 % of the variance of one of them.
+        The correlations at lags −(T − 1) to N − 1, where lag k compares take[i] with sensor[i + k]. It is −1 if the
+        overlap is shorter than 3 s or than half of the shorter array, or if it holds less than 10 % of the variance of
+        one of the arrays.
     """
     take, sensor = take - take.mean(), sensor - sensor.mean()
     count, other = len(take), len(sensor)
@@ -279,7 +280,9 @@ def _vertex(curve: F64, best: int) -> float:
 
 
 def refine_offset(limbs: Sequence[FineSearch], offset_s: float, ppm: float = 0.0) -> float:
-    """Refine an offset: find the smallest orientation errors within 0.1 s, to fractions of a millisecond.
+    """Find the offset with the smallest orientation errors within 0.1 s of a first offset.
+
+    The result is accurate to fractions of a millisecond.
 
     Parameters
     ----------
@@ -293,7 +296,7 @@ def refine_offset(limbs: Sequence[FineSearch], offset_s: float, ppm: float = 0.0
     Returns
     -------
     float
-        The offset in seconds; the first one where no frame is known.
+        The offset in seconds; the first offset if no frame is known.
     """
     limbs = [limb for limb in limbs if len(limb.predicted)]
     spread = [_spread(limb, MAX_FRAMES) for limb in limbs]

@@ -25,7 +25,8 @@ ORDER = 5
 """The order of the autoregressive noise model, in frames."""
 
 CUT, CUT_DEG = 3.5, 15.0
-"""Errors of wrong frames exceed the first, in robust standard deviations of an axis, or the second, in degrees."""
+"""A frame is wrong if its error exceeds the first, in robust standard deviations of an axis, or the second, in degrees.
+"""
 
 OUTLIER = 2.0
 """Whitened error in standard deviations at which a frame has a quarter of the full weight."""
@@ -64,17 +65,17 @@ def whitened_offset(
     limbs : sequence of FineSearch
         The limbs of one take and one recording, calibrated with the first offset.
     offset_s : float
-        The first offset, a few milliseconds off at most.
+        The first offset, which should be wrong by a few milliseconds at most.
     ppm : float, optional
         The first drift in parts per million.
     drifts : bool, optional
-        Fit the drift, too.
+        True to fit the drift as well.
 
     Returns
     -------
     tuple[float, float]
-        The offset in seconds and the drift in parts per million; the first ones where too few frames fit, or the search
-        leads more than 20 ms away.
+        The offset in seconds and the drift in parts per million. The first values are returned if too few frames fit,
+        or if the search leads more than 20 ms away.
     """
     limbs = [_blocks(limb) for limb in limbs if len(limb.take_times) > ORDER + 1]
     offset, drift = offset_s, ppm
@@ -152,7 +153,7 @@ def _follows(times: F64) -> I64:
 def _solve(rows: Sequence[_Rows], shared: int) -> list[F64] | None:
     """Solve the weighted least squares of whitened rows for each limb; the first columns are shared by all limbs.
 
-    Returns None where the shared ones are not determined.
+    Return None if the shared unknowns are not determined.
     """
     model = _noise_model(rows)
     white = [(_whitened(one.residuals, one.follows, model), _whitened(one.design, one.follows, model)) for one in rows]
@@ -180,7 +181,7 @@ def _solve(rows: Sequence[_Rows], shared: int) -> list[F64] | None:
 
 
 def _sums(residuals: F64, design: F64, roots: F64) -> tuple[F64, F64]:
-    """Return the normal equations of one limb, with a ridge for what its movements leave undetermined."""
+    """Return the normal equations of one limb, with a ridge for unknowns that its movements do not determine."""
     x = (roots[:, None, None] * design).reshape(-1, design.shape[2])
     return x.T @ x + RIDGE * len(x) * np.eye(x.shape[1]), x.T @ (roots[:, None] * residuals).reshape(-1)
 

@@ -1,4 +1,4 @@
-"""This module combines many runs into one query of their recurring keyframes (thesis, Section 4.4 and Figure 4.2)."""
+"""This module combines runs of the learner into a query of their recurring keyframes (thesis, 4.4 and Figure 4.2)."""
 
 from __future__ import annotations
 
@@ -17,8 +17,8 @@ from kinedex.ops.words import bits
 AtLeast = Literal["median", "best"]
 
 AGREEMENTS = (0.2, 0.3, 0.4, 0.5, 0.6, 0.7)
-"""Shares of the keyframes at a place that must fix an entry for the consensus to fix it. Each is tried, and the fittest
-consensus is used, since the thesis does not specify how many runs must agree.
+"""Fractions of the keyframes at a template column that must fix an entry for the consensus to fix it. The thesis does
+not specify the fraction, so each is tried, and the consensus of the highest rank is used.
 """
 
 
@@ -29,15 +29,15 @@ class Consensus:
     Parameters
     ----------
     origin : {"consensus", "best run"}
-        "best run" where the consensus ranked lower than the median run, or than the best one.
+        "best run" if the consensus ranked lower than the median run, or than the best run if that was required.
     query : Individual
-        The query of that origin.
+        The consensus, or the query of the best run.
     fitness, rank : float
-        Its fitness and its rank.
+        The fitness and the rank of the query.
     agreement : float
-        The fraction of keyframes that had to agree on an entry; 0 for a run.
+        The fraction of keyframes that had to agree on an entry; 0 for the best run.
     median, best : float
-        The rank of the median run and of the best one.
+        The ranks of the median run and of the best run.
     matrix : float64 array (N, f)
         See `agreement_matrix`.
     """
@@ -65,8 +65,8 @@ def agreement_matrix(queries: Sequence[Individual], columns: int, features: int)
     Returns
     -------
     float64 array (N, f)
-        The mean over the queries of the values to which they fix an entry. A wildcard counts one half, and so does a
-        column in which a query has no keyframe.
+        The mean over the queries of the values to which they fix an entry. A wildcard counts as one half, as do all
+        entries of a column in which a query has no keyframe.
     """
     total = np.full((columns, features), 0.5 * len(queries))
     for query in queries:
@@ -85,18 +85,18 @@ def recurring_keyframes(
     queries : sequence of Individual
         The best individuals of the runs.
     agreement : float
-        The fraction of keyframes at a place that must fix an entry to the same value for it to be fixed.
+        The fraction of the keyframes at a column that must fix an entry to the same value for it to be fixed.
     tolerance : int
-        The number of columns by which two keyframes may differ and still count as the same.
+        The largest distance in columns of two keyframes that count as the same.
     features : int
         The number of features f.
 
     Returns
     -------
     Individual or None
-        As many keyframes as the queries have in the median, or fewer where there are no more places or no agreement, in
-        the order of their median columns; gaps range from none to twice the spacing. None where the queries agree on
-        nothing.
+        A query with the median number of keyframes of the queries, or fewer if the queries do not agree on so many. Its
+        keyframes are ordered by their median columns, and its gaps range from 0 to twice the spacing of the columns.
+        None if the queries agree on no keyframe.
     """
     positions = np.concatenate([query.positions for query in queries])
     masks = np.concatenate([query.masks for query in queries])
@@ -107,7 +107,7 @@ def recurring_keyframes(
     while free.any() and len(found) < wanted:
         near = np.abs(positions[:, None] - positions[None, :]) <= tolerance
         votes = (near & free[None, :]).sum(axis=1) * free
-        # ties go to the leftmost of equally frequent places
+        # of equally frequent columns, the leftmost is taken
         centre = min(np.flatnonzero(votes == votes.max()), key=lambda i: int(positions[i]))
         group = near[centre] & free
         free &= ~group
@@ -155,7 +155,7 @@ def find_consensus(
     Parameters
     ----------
     task, settings
-        Those of the runs.
+        The task and the settings of the runs.
     runs : sequence of LearningRun
         One run or more.
     tolerance : int
@@ -163,13 +163,13 @@ def find_consensus(
     seed : int or tuple of int
         The seed of the mutations.
     at_least : {"median", "best"}
-        The run that the consensus must not rank below.
+        The run below which the consensus must not rank.
 
     Returns
     -------
     Consensus
-        The consensus, or, where it ranks below that run, the best run; of equal ones the first. So the outcome never
-        ranks below the median run, while its fitness, without costs, may be lower.
+        The consensus, or the best run if the consensus ranks below the run of `at_least`; of equally good runs the
+        first. The result never ranks below the median run, but its fitness, which ignores costs, may be lower.
 
     Raises
     ------

@@ -1,11 +1,12 @@
 """This module computes the fitness of queries on training clips, using bitmaps of frames (thesis, Section 4.2).
 
 A clip counts as retrieved if the query has at least one hit in it, so hits need not be listed. The frames that match a
-keyframe are a bitmap; a gap [low, high] moves and widens the frames reached so far; and where bits remain after the
-last keyframe, the clip is retrieved. Each clip begins in a word of memory of its own (a lane), so a clip of up to 64
-frames is one word, and nothing moves from one clip into the next. Bitmaps of keyframes are cached, so a query that was
-changed in one keyframe needs one new bitmap. A search of bit slices would find ranges of frames, at a higher cost than
-the fitness needs (`docs/decisions/0002-bit-slices.md`).
+keyframe form a bitmap, with one bit for each frame. A gap [low, high] shifts and widens the bitmap of the frames that
+were reached by the previous keyframe. If bits remain after the last keyframe, the clip is retrieved. Bitmaps are stored
+in lanes of 64 bits. Each clip begins in a new lane, so that a clip of up to 64 frames has one lane, and no bit is
+shifted from one clip into the next. Bitmaps of keyframes are cached; when one keyframe of a query changes, only one new
+bitmap is computed. A search of bit slices would find ranges of frames, at a higher cost than the fitness needs
+(`docs/decisions/0002-bit-slices.md`).
 """
 
 from __future__ import annotations
@@ -23,7 +24,7 @@ from kinedex.ops.words import MAX_FEATURES, NO_WORD
 
 _LANE = 64
 CACHED_BITMAPS = 256
-"""The number of cached bitmaps of keyframes, more than any query has keyframes."""
+"""The number of cached bitmaps of keyframes, which exceeds the number of keyframes of any query."""
 
 INNER = {"cache": True, "nogil": True, "no_cpython_wrapper": True}
 """Options for kernels that are called only by other kernels: without a Python wrapper they are a sixth faster."""
@@ -63,9 +64,9 @@ def training_frames(clips: Sequence[U64], features: int, steady: Sequence[int] |
     features : int
         The number of features f.
     steady : sequence of int, optional
-        The strictness n for each clip, 0 by default: a feature counts as on (or off) in a frame only if it is so from n
-        frames before to n frames after, where the first and last frame of a clip are repeated. Then a query only finds
-        examples that it matches with some tolerance.
+        The strictness n of each clip, 0 by default. A feature counts as on (or off) in a frame only if it is on (or
+        off) from n frames before to n frames after; the first and the last frame of a clip are repeated. A query then
+        only retrieves clips that it matches with some tolerance.
 
     Returns
     -------
@@ -127,13 +128,13 @@ class Workspace(NamedTuple):
     made : int64 array (1,)
         The number of bitmaps made so far.
     slots : int64 array (K,)
-        The places of the keyframes of one query in the cache.
+        The slots of the keyframes of a query in the cache.
     lows, highs : int64 array (K,)
-        Gaps.
+        The gaps between the keyframes.
     reached : uint64 array (2, W)
-        The frames reached, and memory for the next ones.
+        The bitmap of the frames that are reached, and memory for the next bitmap.
     place : int64 array (W,)
-        The number of lanes of its clip before each lane.
+        The index of each lane within its clip, from 0.
     hit : bool array (T,)
         The clips that are retrieved.
     """

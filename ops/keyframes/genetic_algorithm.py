@@ -1,4 +1,4 @@
-"""This module has the genetic algorithm that learns a keyframe query from clips (thesis, Algorithm 3)."""
+"""This module implements the genetic algorithm that learns a keyframe query from clips (thesis, Algorithm 3)."""
 
 from __future__ import annotations
 
@@ -53,8 +53,8 @@ def evolve(task: TrainingTask, settings: EvolutionSettings, seed: int | tuple[in
     Returns
     -------
     LearningRun
-        The individual of the last generation that ranks highest; of equal ones the oldest. Parents are selected by
-        fitness, and those that rank highest survive; without costs both are the same, as in the thesis.
+        The individual of the highest rank in the last generation; of equal ones the oldest. Parents are selected by
+        fitness, and survivors by rank; without costs these are the same, as in the thesis.
     """
     population = new_population(settings.population + OFFSPRING, MAX_KEYFRAMES)
     history = np.zeros((settings.generations + 1, len(HISTORY_COLUMNS)))
@@ -68,7 +68,7 @@ def evolve(task: TrainingTask, settings: EvolutionSettings, seed: int | tuple[in
 
 
 def random_search(task: TrainingTask, settings: EvolutionSettings, seed: int | tuple[int, ...]) -> LearningRun:
-    """Return the fittest of as many random individuals as a run evaluates (Algorithm 2 alone), as a baseline.
+    """Return the best of as many random individuals (Algorithm 2) as a run evaluates, as a baseline.
 
     Parameters
     ----------
@@ -87,15 +87,16 @@ def tune_gaps(
 ) -> LearningRun:
     """Optimise the gaps of a query by random mutations (thesis, Section 4.4).
 
-    One mutation is tried at a time, and kept unless it ranks lower. The number of trials is that of a run's offspring,
-    and 0 if the query has no gap. The history has one row for each group of trials of a generation's size.
+    One mutation is tried at a time, and kept unless it lowers the rank. The number of trials equals the number of
+    offspring of a run; it is 0 if the query has no gap. The history has a row for every group of trials with as many
+    trials as a generation has offspring.
 
     Parameters
     ----------
     task, settings, seed
         As in `evolve`.
     query : Individual
-        The query; its keyframes stay as they are.
+        The query, whose keyframes are not changed.
 
     Returns
     -------
@@ -124,7 +125,7 @@ def evaluate(task: TrainingTask, query: Individual, settings: EvolutionSettings)
 
 
 def rank_bound(task: TrainingTask, query: Individual, settings: EvolutionSettings) -> float:
-    """Return an upper bound of a query's rank over all gaps: that of perfect fitness and gaps without slack."""
+    """Return an upper bound of a query's rank over all gaps: the rank with perfect fitness and gaps of zero width."""
     outside = (int(query.positions[0]) + len(task.masks) - 1 - int(query.positions[-1])) / len(task.masks)
     return 1.0 - settings.parsimony * query.fixed - settings.outside_cost * outside
 
@@ -135,8 +136,8 @@ def rank_bound(task: TrainingTask, query: Individual, settings: EvolutionSetting
 class _Criteria(NamedTuple):
     """The criteria by which individuals are judged: clips of a `TrainingTask`, and settings of fitness and rank.
 
-    The first `positives` clips are of the class; `columns` is the number of template columns, `outside_cost` the cost
-    of one.
+    The first `positives` clips belong to the class. `columns` is the number of template columns, and `outside_cost` is
+    the cost of a column outside the keyframes.
     """
 
     on: U64
@@ -260,7 +261,7 @@ def _equal(population, one, other, placed):  # type: ignore[no-untyped-def]
     if count != population.counts[other]:
         return False
     if placed:
-        # the same query from other columns leaves out another part of the template, so its rank differs
+        # an equal query from other columns leaves another part of the template outside, so its rank differs
         last = count - 1
         if population.positions[one, 0] != population.positions[other, 0]:
             return False

@@ -1,4 +1,4 @@
-"""This module has the genetic operators: initialisation, selection, recombination, mutation (thesis, 4.3 and 4.4).
+"""This module implements the genetic operators: initialisation, selection, recombination, mutation (thesis, 4.3, 4.4).
 
 An individual is a row of arrays. All operators work in place without allocating; random numbers come from the generator
 that is passed in.
@@ -27,9 +27,9 @@ class Population(NamedTuple):
     counts : int64 array (P,)
         The number of keyframes K of each individual.
     masks, values : uint64 array (P, most)
-        The keyframes, of which the first K of a row count.
+        The keyframes, which are the first K entries of a row.
     positions : int64 array (P, most)
-        Their template columns.
+        The template columns of the keyframes.
     lows, highs : int64 array (P, most)
         The K - 1 gaps.
     results : float64 array (P, 4)

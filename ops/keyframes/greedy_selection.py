@@ -14,9 +14,9 @@ TOLERANCES = (0.5, 1.0)
 def forward_selection(task: TrainingTask, settings: EvolutionSettings) -> LearningRun:
     """Learn a query by greedy forward selection of template columns, using the rank of the genetic algorithm.
 
-    The first column is the one that ranks highest alone. Then the column that raises the rank most is added, with gaps
-    to its neighbours of one of the `TOLERANCES`, until none raises it or there are `MAX_KEYFRAMES`. Ties go to the
-    leftmost column. The result is deterministic.
+    The first column is the one with the highest rank as a single keyframe. Then, repeatedly, the column that raises the
+    rank most is added; the gaps to its neighbours have one of the `TOLERANCES`. The search ends if no column raises the
+    rank, or at `MAX_KEYFRAMES`. In a tie, the leftmost column is chosen. The result is deterministic.
 
     Parameters
     ----------

@@ -1,6 +1,6 @@
-"""This module defines the learner's task and settings, and the result of a run (thesis, Chapter 4).
+"""This module defines the task and the settings of the query learner, and the result of a run (thesis, Chapter 4).
 
-Individuals are the keyframe queries that it learns.
+The individuals of the genetic algorithm are keyframe queries.
 """
 
 from __future__ import annotations
@@ -34,18 +34,17 @@ class EvolutionSettings:
     Parameters
     ----------
     population, generations : int
-        M and G (thesis, Section 4.4).
+        The numbers M of individuals and G of generations (thesis, Section 4.4).
     least_keyframes : int
-        The least number of keyframes of an initial individual; no mutation goes below it. Recombination, the consensus
-        and the greedy learner may, as in the thesis.
+        The minimum number of keyframes of an initial individual and after a mutation. Recombination, the consensus and
+        the greedy learner may result in fewer, as in the thesis.
     open_share : float
-        The largest share of a keyframe's entries that a generalisation turns into wildcards at a time; one entry where
-        it is 0.
+        The largest fraction of a keyframe's entries that one generalisation turns into wildcards; 0 for a single entry.
     parsimony, gap_cost : float
         The costs of each fixed entry, and of each frame between the ends of a gap, when individuals are compared.
     outside_cost : float
-        The cost of the share of the template that lies before the first or after the last keyframe, as this part has to
-        be searched around each hit.
+        The cost of a template whose columns are all outside the keyframes, before the first or after the last one. It
+        is charged in proportion to the columns outside, because these must be searched around each hit.
     tempo : float
         The fraction by which gaps are narrowed when positive clips are tested, so that they would also be retrieved at
         another tempo.
@@ -79,7 +78,7 @@ class TrainingTask:
     masks, values : uint64 array (N,)
         The columns of the strictly quantised template, restricted to the features that may be used.
     allowed : int
-        These features as a mask, bit i - 1 for F_i.
+        The features that may be used as a mask, bit i - 1 for F_i.
     """
 
     frames: TrainingFrames
@@ -103,9 +102,9 @@ class LearningRun:
     query : Individual
         The individual that ranks highest.
     fitness : float
-        Its F_beta.
+        The F_beta measure of the query.
     rank : float
-        Its fitness less the costs, by which individuals are compared.
+        The fitness minus the costs, by which individuals are compared.
     history : float64 array (G + 1, 4)
         The `HISTORY_COLUMNS` of each generation.
     evaluated : int
@@ -184,7 +183,7 @@ class Individual:
     masks, values : uint64 array (K,)
         The keyframes; bit i - 1 is F_i.
     positions : int64 array (K,)
-        Their template columns, in non-descending order.
+        The template columns of the keyframes, in non-descending order.
     lows, highs : int64 array (K - 1,)
         The admissible gaps in frames, both ends included (thesis, Eq. 4.3 and 4.4).
 

@@ -15,25 +15,25 @@ _FRAMES = 200_000
 
 
 def interval_numbers(words: U64, bounds: I64, features: int, known: U64 | None = None) -> F64:
-    """Return for each interval the shares of frames in which features are on, and square roots of their change rates.
+    """Return for each interval and feature the share of frames in which it is on, and the root of its change rate.
 
     Parameters
     ----------
     words : uint64 array (N,)
-        Words laid end to end; `NO_WORD` where a frame is invalid.
+        The concatenated words of all intervals; `NO_WORD` if a frame is invalid.
     bounds : int64 array (P + 1,)
-        Ascending: interval p has the words bounds[p] to bounds[p + 1] − 1.
+        Ascending indices; interval p has the words bounds[p] to bounds[p + 1] − 1.
     features : int
         The number of features f.
     known : uint64 array (P,), optional
-        The mask of the known features of each interval; None: all are known.
+        The mask of the known features of each interval; None if all features are known.
 
     Returns
     -------
     float64 array (P, 2 f)
-        Columns 0 to f − 1 are shares of the valid frames; columns f to 2 f − 1 are square roots of the changes (from
-        off to on, or back) for each pair of neighbouring valid frames. NaN where a feature is unknown, or an interval
-        has no valid frame.
+        Columns 0 to f − 1 are the shares of valid frames in which features are on. Columns f to 2 f − 1 are square
+        roots of change rates: the number of changes from off to on or back, divided by the number of pairs of
+        successive valid frames. NaN if a feature is unknown, or an interval has no valid frame.
 
     Raises
     ------
@@ -75,7 +75,7 @@ def _fill(numbers: F64, words: U64, bounds: I64, features: int) -> None:
     valid = words != NO_WORD
     on = _unpacked(np.where(valid, words, np.uint64(0)), features)
     frames = _sums(valid[:, None], bounds)
-    # True where a frame and the one before it are both valid and in the same interval
+    # True if a frame and the previous frame are both valid and in the same interval
     pair = np.zeros(len(words), bool)
     pair[1:] = valid[1:] & valid[:-1]
     starts = bounds[:-1]
@@ -110,7 +110,7 @@ def standardised(numbers: F64) -> F64:
     Parameters
     ----------
     numbers : float64 array (P, n)
-        Numbers, NaN where unknown.
+        Numbers; NaN if unknown.
 
     Returns
     -------

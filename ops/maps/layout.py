@@ -1,11 +1,11 @@
-"""This module lays out a map in two dimensions, such that similar points lie close together (t-SNE).
+"""This module arranges points in a map of two dimensions, so that similar points are close together, by t-SNE.
 
-L. van der Maaten, G. Hinton: Visualizing data using t-SNE (2008), with the approximation of Barnes and Hut, as
-implemented in scikit-learn.
+The method is that of L. van der Maaten and G. Hinton, Visualizing data using t-SNE (2008), with the approximation of
+Barnes and Hut, as implemented in scikit-learn.
 
-It finds clusters of the map by density (HDBSCAN), and the features that characterise each of them. R. Campello, D.
-Moulavi, J. Sander: Density-based clustering based on hierarchical density estimates (2013), implemented in scikit-
-learn.
+The module also finds clusters of the map by density, with HDBSCAN of scikit-learn (R. Campello, D. Moulavi and J.
+Sander, Density-based clustering based on hierarchical density estimates, 2013), and the features that characterise each
+cluster.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ from kinedex.ops.arrays import F32, F64, I64, Bool
 from kinedex.ops.packages import extra_package
 
 MAX_POINTS = 5_000
-"""Maximum number of points that t-SNE lays out; each of the others is put beside the most similar of these."""
+"""Maximum number of points that t-SNE arranges; each other point is placed beside the most similar of these points."""
 
 PERPLEXITY = 30.0
 ITERATIONS = 1_000
@@ -54,9 +54,10 @@ class Layout:
     positions : float32 array (P, 2)
         Two coordinates without unit, from −1 to 1.
     chosen : int64 array (C,)
-        The points that were laid out, ascending: all of them, or a random choice.
+        The indices of the points that were arranged, ascending: all points, or a random selection.
     nearest : int64 array (P,)
-        For each point the index in `chosen` of the point itself, or of the most similar chosen point.
+        For each point the index in `chosen` of the point itself if it was selected, or else of the most similar
+        selected point.
     """
 
     positions: F32
@@ -65,21 +66,22 @@ class Layout:
 
 
 def map_layout(numbers: F64, *, most: int = MAX_POINTS, seed: int = 0, progress: Progress | None = None) -> Layout:
-    """Lay out points, such that points with similar numbers are close together.
+    """Arrange points in two dimensions, so that points with similar numbers are close together.
 
-    The same numbers have the same layout in every run on the same machine. Of more than `most` points a random choice
-    is laid out; each of the others is put beside the chosen one whose numbers are nearest to its own.
+    Repeated calls with the same numbers give the same layout on the same machine. If there are more than `most` points,
+    a random selection of them is arranged, and each other point is placed beside the selected point with the nearest
+    numbers.
 
     Parameters
     ----------
     numbers : float64 array (P, n)
         Standardised numbers of P points.
     most : int, optional
-        The most points that are laid out.
+        The maximum number of points that are arranged.
     seed : int, optional
-        Seed of the choice and of the layout.
+        Seed of the selection and of the layout.
     progress : callable, optional
-        Called with steps done and steps in all.
+        A callback that is called with the steps done and the steps in total.
 
     Raises
     ------
@@ -157,7 +159,7 @@ def _nearest(numbers: F64, chosen: I64) -> I64:
 def _apart(positions: F64, chosen: I64) -> F64:
     """Spread points with equal positions on a small spiral, so that each can be seen and pointed at."""
     order = np.ones(len(positions), np.int64)
-    order[chosen] = 0  # points that were laid out keep their positions
+    order[chosen] = 0  # points that were arranged keep their positions
     keys = np.round(positions, 9)
     by_place = np.lexsort((order, keys[:, 1], keys[:, 0]))
     same = (np.diff(keys[by_place], axis=0) == 0).all(axis=1)
@@ -189,14 +191,14 @@ class Trait:
 
 
 def map_clusters(layout: Layout, least: int | None = None) -> I64:
-    """Return the cluster of each point of a map, numbered from 0, the largest first; -1 for points in none.
+    """Return the cluster of each point of a map, numbered from 0, the largest first; -1 for points in no cluster.
 
     Parameters
     ----------
     layout : Layout
-        A map. Points that were not laid out get the cluster of the point beside which they were put.
+        A map. Points that were not arranged get the cluster of the point beside which they were placed.
     least : int, optional
-        The smallest number of points of a cluster among those that were laid out; None: one in `SHARE`, and at least
+        The minimum number of arranged points of a cluster; by default 1 / `SHARE` of the arranged points, and at least
         `MIN_POINTS`.
 
     Returns
@@ -247,27 +249,27 @@ def outline(positions: F32) -> F32:
 
 
 def traits(shares: F64, inside: Bool, most: int = 3, least: float = 0.1) -> list[Trait]:
-    """Return the features by which the points of a cluster differ most from all others.
+    """Return the features by which the points of a cluster differ most from all other points.
 
-    The difference of the mean shares is measured in standard deviations of all points: a feature that is on for a fifth
-    of the frames here and never elsewhere is more characteristic than one that is on for half of them here and a third
-    elsewhere.
+    The difference of the mean shares is measured in standard deviations over all points. Hence a feature that is on in
+    a fifth of the cluster's frames and never elsewhere is more characteristic than a feature that is on in half of the
+    cluster's frames and in a third of the others.
 
     Parameters
     ----------
     shares : float64 array (P, f)
-        The fraction of frames of each feature, NaN where unknown.
+        The fraction of frames in which each feature is on; NaN if unknown.
     inside : bool array (P,)
         The points of the cluster.
     most : int, optional
-        The most features to return.
+        The maximum number of features to return.
     least : float, optional
-        The smallest difference of the mean shares that counts.
+        The minimum difference of the mean shares of a feature that is returned.
 
     Returns
     -------
     list of Trait
-        Those that differ most first.
+        The features, in order of decreasing difference.
 
     Examples
     --------
@@ -300,7 +302,7 @@ def typical(positions: F32, inside: Bool, count: int = 3) -> I64:
     inside : bool array (P,)
         True for the points of the cluster.
     count : int, optional
-        The most points to return.
+        The maximum number of points to return.
     """
     members = np.flatnonzero(inside)
     middle = np.median(positions[members], axis=0)

@@ -1,4 +1,8 @@
-"""This module assigns to each frame the hit that gives its priors, and the frame whose pose it uses (thesis, 6.4.1)."""
+"""This module assigns to each frame the hit that provides its priors, and the frame that provides a pose prior (6.4.1).
+
+A hit is an interval of the take that matches the template of a motion. A pose prior of a frame is the pose of another
+frame of the same take, which a better hit of the same motion contains.
+"""
 
 from __future__ import annotations
 
@@ -29,7 +33,7 @@ class MotionHit:
     Attributes
     ----------
     motion : int
-        The index of the motion whose template fits.
+        The index of the motion whose template matches.
     start, stop : int
         The half-open range of frames of the path.
     cost : float
@@ -67,7 +71,8 @@ def find_hits(
     hits : list of MotionHit
         The essential minima of Δ^min, the cheapest first.
     alternatives : list of MotionHit
-        The essential minima of single curves that are not hits, the cheapest first: other motions for the same frames.
+        The essential minima of single curves that are not hits, the cheapest first; these are other motions that may
+        replace a hit in the same frames.
 
     Raises
     ------
@@ -105,7 +110,7 @@ def _essential(hits: Sequence[MotionHit]) -> list[MotionHit]:
 
 
 def at_rate(hits: Sequence[MotionHit], words_rate_hz: float, rate_hz: float, frames: int) -> list[MotionHit]:
-    """Return hits in frames of a recording whose words have another rate; columns are interpolated.
+    """Convert hits from frames of words to frames of a recording with another rate; columns are interpolated.
 
     Parameters
     ----------
@@ -177,7 +182,7 @@ class Allocation:
     qualities : float64 array (H,)
         The quality of each hit.
     lenders : int64 array (T,)
-        The frame whose pose serves as a prior for each frame, −1 for none.
+        The frame whose pose is a prior of each frame, −1 for none.
     """
 
     hits: tuple[MotionHit, ...]
@@ -201,7 +206,7 @@ def allocate(hits: Sequence[MotionHit], frames: int, threshold: float) -> Alloca
     frames : int
         The number of frames T.
     threshold : float
-        τ, which the quality max(`MIN_QUALITY`, 1 − cost / τ) of a hit is measured against.
+        The threshold τ; the quality of a hit is max(`MIN_QUALITY`, 1 − cost / τ).
 
     Returns
     -------
@@ -249,7 +254,7 @@ class PriorRow:
     Attributes
     ----------
     round : int
-        The round, from 1.
+        The round of stabilisation, from 1.
     kind : str
         "archive", "pose", or a constraint.
     side : str
@@ -265,11 +270,11 @@ class PriorRow:
     cost : float
         The distance of the hit.
     weight : float
-        The factor of the weights of the priors.
+        The factor by which the weights of the priors are multiplied.
     kept : bool
-        False for priors that the guard withdrew.
+        False for priors that were withdrawn because they contradict the observations.
     reason : str
-        The reason why they were withdrawn; empty if they were kept.
+        The reason why the priors were withdrawn; empty if they were kept.
     """
 
     round: int
@@ -300,10 +305,10 @@ def prior_rows(
     ----------
     allocation : Allocation
         The hits of the frames.
-    motions : sequence of Motion
+    motions : sequence of PriorMotion
         The motions of the archive.
     weights : mapping of str to float
-        The factor of each kind that is used: "archive", "pose" and constraints.
+        The factor of each kind of priors that is used: "archive", "pose" and constraints.
     number : int
         The round, from 1.
     hit_numbers : sequence of int

@@ -1,6 +1,6 @@
-"""This module computes a class's archive poses: mean and spread of node rotations for each column of its template.
+"""This module computes the archive poses of a class: mean and spread of node rotations for each template column.
 
-Example clips are aligned with the template of their class by classical DTW.
+The example clips of the class are aligned with the template by classical dynamic time warping (DTW).
 """
 
 from __future__ import annotations
@@ -36,7 +36,8 @@ class PoseTable(NamedTuple):
     means : float64 array (N, K, 3, 3)
         The mean rotation M of each node.
     spreads : float64 array (N, K, 3)
-        Root mean square of log(MᵀR) over the clips, about X, Y and Z of the node, in radians.
+        Root mean square over the clips of log(MᵀR), where R is the rotation in a clip, about X, Y and Z of the node, in
+        radians.
     tilts : float64 array (N, 3)
         The mean direction of the world's up axis in the frame of the first node.
     clips : int
@@ -57,7 +58,7 @@ def pose_table(clips: Sequence[Poses], frames: Sequence[I64]) -> PoseTable:
     clips : sequence of Poses
         The fitted poses of each example clip.
     frames : sequence of int64 array (N,)
-        The frame of each clip that goes with each column, see `clip_frames`.
+        For each clip, the frame that corresponds to each column, see `clip_frames`.
 
     Raises
     ------
@@ -105,15 +106,15 @@ def _relative(means: F64, rotations: F64, vectors: F64) -> None:
 
 
 class ActorDeviation(NamedTuple):
-    """An actor's own deviation from the archive's rotations in a hit, measured where the cameras agree.
+    """The deviation of an actor's rotations from the archive's in a hit, measured where the cameras agree.
 
     Attributes
     ----------
     rotations : float64 array (K, 3, 3)
-        The rotation to apply after the archive's mean; the identity where the node is hardly seen.
+        The rotation to apply after the archive's mean; the identity if the node is hardly seen.
     residuals : float64 array (K, 3)
-        Root mean square of the remaining log(MᵀR) over the frames where the node is seen, in radians; NaN where it is
-        hardly seen.
+        Root mean square of the remaining log(MᵀR) over the frames in which the node is seen, in radians; NaN if the
+        node is hardly seen.
     seen_s : float64 array (K,)
         The time for which each node is seen, in seconds.
     """
@@ -139,10 +140,10 @@ def actor_deviation(means: F64, rotations: F64, seen: Bool, rate_hz: float) -> A
 
     Returns
     -------
-    OwnWay
-        Per node, the rotation exp(v), where v is the mean of log(MᵀR) over the N frames in which the node is seen,
-        times min(1, N / rate_hz / `FULL_SEEN_S`); the identity if it is seen for less than `MIN_SEEN_S`. Also the
-        root mean square of the remaining deviation in radians, and the seconds for which each node is seen.
+    ActorDeviation
+        The rotation of each node is exp(v), where v is the mean of log(MᵀR) over the N frames in which the node is
+        seen, times min(1, N / rate_hz / `FULL_SEEN_S`). It is the identity if the node is seen for less than
+        `MIN_SEEN_S`.
     """
     counts = seen.sum(axis=0)
     enough = counts >= MIN_SEEN_S * rate_hz - 1e-9
@@ -159,9 +160,9 @@ def actor_deviation(means: F64, rotations: F64, seen: Bool, rate_hz: float) -> A
 def clip_frames(template: Template, words: U64) -> I64:
     """Return the frame of a clip that corresponds to each column of a template.
 
-    The clip is aligned by classical DTW; the local cost is the mean over features of |x − y| (by the template's feature
-    weights where it has some). Of equally cheap steps, read from the end, (1,1) comes first, then the one in which the
-    template advances alone, then the clip.
+    The clip is aligned by classical DTW. The local cost is the mean over features of |x − y|, weighted if the template
+    has feature weights. Of equally cheap steps, read from the end, (1,1) is preferred to a step in which only the
+    template advances, and this is preferred to a step in which only the clip advances.
 
     Parameters
     ----------
@@ -173,7 +174,8 @@ def clip_frames(template: Template, words: U64) -> I64:
     Returns
     -------
     int64 array (N,)
-        The mean of the frames that the path pairs with each column, rounded, halves to the even frame.
+        For each column the mean of the frames that the path assigns to it, rounded to the nearest frame, halves to the
+        even frame.
 
     Raises
     ------
@@ -203,9 +205,9 @@ class PriorMotion:
     name : str
         The name of the class.
     template : QuantisedTemplate
-        Its quantised template.
+        The quantised template of the class.
     poses : PoseTable, optional
-        The poses of its example clips; None where the archive has templates only.
+        The poses of the class's example clips; None if the archive has only templates.
     marks : tuple of Mark
         The marked regions of the template.
     """

@@ -1,7 +1,7 @@
-"""This module derives logical constraints from marked regions of templates, and the terms that they add to a track.
+"""This module derives logical constraints from marked regions of templates, and the terms that they add to tracking.
 
-A region is an interval of columns whose entries fix some features (thesis, Section 6.4.1). Where a track passes through
-it, the body is pulled towards a pose with these feature values (Section 6.4.2).
+A region is an interval of columns whose entries fix some features (thesis, Section 6.4.1). In frames that are aligned
+with these columns, the body is pulled towards a pose with these feature values (Section 6.4.2).
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ FEATURES: Mapping[Constraint, Mapping[str, bool]] = {
 """The features of each constraint, without the prefix l or r, and their values."""
 
 MIN_COLUMNS = 3
-"""Minimum number of columns of a run that is marked by default."""
+"""Minimum number of columns of a region that is marked by default."""
 
 GROUND_M, FRONT_M, BENT_RAD = 0.03, 0.05, 0.2
 """Standard deviations of a foot's height (m), of the forward movement of a hand or foot (m), and of flexion (rad)."""
@@ -60,7 +60,7 @@ class Mark:
     start, stop : int
         The half-open range of columns.
     name : str
-        A name that reports use; empty for none.
+        The name of the region in reports; empty for none.
     """
 
     constraint: Constraint
@@ -81,11 +81,11 @@ class MarkEdit:
     columns : (int, int), optional
         The first and the last column, both included, from 0; None for all.
     remove : bool
-        True removes what is marked there, False marks it.
+        True to remove the marks in these columns, False to mark the columns.
     name : str
-        The name of a region that is marked.
+        The name of the region to mark.
     where : str
-        The file and line of the edit, which messages begin with.
+        The file and line of the edit, with which error messages begin.
     """
 
     constraint: Constraint
@@ -101,8 +101,8 @@ def template_marks(
 ) -> tuple[Mark, ...]:
     """Return the marked regions of a template.
 
-    By default these are all runs of `MIN_COLUMNS` columns or more whose entries fix the features of a constraint.
-    `foot_to_front` is marked in locomotion only, as its features alone do not imply it.
+    By default these are all runs of at least `MIN_COLUMNS` columns whose entries fix the features of a constraint.
+    `foot_to_front` is only marked in locomotion, as its features do not imply a forward movement.
 
     Parameters
     ----------
@@ -162,7 +162,7 @@ def _runs(marked: Bool) -> list[tuple[int, int]]:
 
 
 class PositionPulls(NamedTuple):
-    """Pulls on joint positions, see `ops.tracking.observations.PriorTerms`, with weights for a quality of 1."""
+    """Terms that pull joints towards positions, see `ops.tracking.observations.PriorTerms`, for hits of quality 1."""
 
     frames: I64
     joints: I64
@@ -172,7 +172,7 @@ class PositionPulls(NamedTuple):
 
 
 def ground_pulls(body: ChainBody, positions: F64, standing: Bool, side: Side) -> PositionPulls:
-    """Return the pulls of a foot to the ground, at each joint's own lowest height (thesis, Eq. 6.7).
+    """Return the terms that pull the joints of a foot to their heights when the foot stands (thesis, Eq. 6.7).
 
     Parameters
     ----------
@@ -181,7 +181,7 @@ def ground_pulls(body: ChainBody, positions: F64, standing: Bool, side: Side) ->
     positions : float64 array (J, 3, T)
         The joints of the track in metres, Y up.
     standing : bool array (T,)
-        The frames where the foot is on the ground.
+        The frames in which the foot is on the ground.
     side : str
         "left" or "right".
     """
@@ -198,7 +198,7 @@ def ground_pulls(body: ChainBody, positions: F64, standing: Bool, side: Side) ->
 def front_pulls(
     body: ChainBody, poses: Poses, positions: F64, moving: Bool, constraint: Constraint, side: Side, rate_hz: float
 ) -> PositionPulls:
-    """Return the forward pulls of a hand or foot that moves more slowly than its feature requires.
+    """Return the terms that pull a hand or foot forwards if it moves more slowly than its feature requires.
 
     Parameters
     ----------
@@ -207,9 +207,9 @@ def front_pulls(
     poses : Poses
         The poses of the track.
     positions : float64 array (J, 3, T)
-        Its joints in metres, Y up.
+        The joints of the track in metres, Y up.
     moving : bool array (T,)
-        The frames where the joint moves to the front.
+        The frames in which the joint moves to the front.
     constraint : str
         "hand_to_front" or "foot_to_front".
     side : str
@@ -239,7 +239,7 @@ def _pulls(frames: I64, joint: int, directions: F64, targets: F64, sigma_m: floa
 
 
 def joined(parts: Sequence[PositionPulls]) -> PositionPulls:
-    """Concatenate pulls, sorted by frame; pulls of one frame keep their order."""
+    """Concatenate terms, sorted by frame; terms of the same frame keep their order."""
     if not parts:
         none = np.zeros(0, np.int64)
         return PositionPulls(none, none, np.zeros((0, 3)), np.zeros(0), np.zeros(0))
@@ -249,7 +249,7 @@ def joined(parts: Sequence[PositionPulls]) -> PositionPulls:
 
 
 def straight_elbow(body: ChainBody, poses: Poses, bent: Bool, side: Side) -> tuple[int, Bool, F64]:
-    """Return the node of an elbow, the frames where it is too straight, and the rotation that it is pulled to.
+    """Return the node of an elbow, the frames in which it is too straight, and the rotation towards which it is pulled.
 
     Parameters
     ----------
@@ -258,7 +258,7 @@ def straight_elbow(body: ChainBody, poses: Poses, bent: Bool, side: Side) -> tup
     poses : Poses
         The poses of the track.
     bent : bool array (T,)
-        The frames where the elbow should be bent.
+        The frames in which the elbow should be bent.
     side : str
         "left" or "right".
 
@@ -269,7 +269,7 @@ def straight_elbow(body: ChainBody, poses: Poses, bent: Bool, side: Side) -> tup
     straight : bool array (T,)
         The frames with less flexion than `BENT_AT_RAD`.
     target : float64 array (3, 3)
-        The rotation of that flexion.
+        The rotation of the node at the flexion `BENT_AT_RAD`.
     """
     node = body.chain.nodes.index(side[0] + "elbow")
     axis = body.chain.axes_of(node)[0]

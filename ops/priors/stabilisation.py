@@ -1,7 +1,8 @@
-"""This module stabilises a track by priors in rounds of hits, allocation, tracking and guard (thesis, Chapter 6).
+"""This module stabilises a track by priors from an archive, in several rounds (thesis, Chapter 6).
 
-The guard compares each hit's fit to the observations with that of a track without priors (not in the thesis).
-Allocations become terms that a tracker adds to its energy (Sections 6.4.2 and 6.4.3).
+In each round, hits of motions are searched in the track, priors are allocated to frames, and the recording is tracked
+again with the terms of these priors (Sections 6.4.2 and 6.4.3). A guard, which is not in the thesis, then withdraws the
+priors of hits with which the track fits the observations worse than a track without priors.
 """
 
 from __future__ import annotations
@@ -70,10 +71,10 @@ POSE_RAD = 0.15
 """Standard deviation in radians of a rotation about its prior, in addition to the spread of the archive."""
 
 SEEN_SHARE = 0.3
-"""Factor of the archive's weight for nodes whose keypoints are consistent between cameras."""
+"""Factor of the weight of archive poses for nodes whose keypoints are consistent between cameras."""
 
 SPREAD_S = 1 / 3
-"""Time in seconds of a seen node whose residuals have the same weight as the spread of the archive."""
+"""Time in seconds for which a node must be seen for its residuals to have the same weight as the archive's spread."""
 
 
 class Track(Protocol):
@@ -124,20 +125,21 @@ class Settings:
     Attributes
     ----------
     kinds : tuple of str
-        Kinds of priors, of `KINDS`.
+        The kinds of priors to use, of `KINDS`.
     threshold : float
-        τ > 0, the cost below which a minimum is a hit.
+        The threshold τ > 0; a minimum of a distance curve below it is a hit.
     rounds : int
-        The most rounds.
+        The maximum number of rounds.
     guard : float
-        A hit is withdrawn if the observation cost with its priors exceeds that without by more than this factor; the
-        limit is lower for hits of higher cost, see `allowed_ratios`; infinite to disable the guard.
+        Maximum ratio of the observation costs with and without the priors of a hit; hits above it are withdrawn. The
+        limit is lower for hits of higher cost, see `allowed_ratios`. Infinite to disable the guard.
     factors : mapping of str to float
         Factors of the weights of kinds or constraints, 1 by default.
     words_rate_hz : float
         Frames per second of the words.
     attempts : int
-        How often the hits of a round are judged; from the second time on, other hits replace those that were withdrawn.
+        The number of times that the hits of a round are judged; in each further attempt, other hits replace the hits
+        that were withdrawn.
     """
 
     kinds: tuple[str, ...] = (ARCHIVE,)
@@ -228,8 +230,9 @@ def stabilise(
     without : Track
         The track without priors; for a complete take, after its restart.
     words : callable
-        Returns the words of a track, uint64 (L,), at the rate of the settings; their first frame is that of the track.
-    motions : sequence of Motion
+        A function that returns the words of a track, uint64 (L,), at the rate of the settings; the first frames of
+        words and track coincide.
+    motions : sequence of PriorMotion
         The motions of the archive.
     settings : Settings, optional
         The settings.
@@ -240,8 +243,8 @@ def stabilise(
 
     Notes
     -----
-    Where priors also affect frames that no hit covers, the guard also judges each round as a whole: a round that raises
-    the total cost is undone and ends the iteration.
+    If priors also affect frames that no hit covers (`Tracker.carries_over`), the guard also judges each round as a
+    whole: a round that raises the total cost is undone and ends the iteration.
     """
     chosen = settings or Settings()
     current, rounds = without, []
@@ -263,8 +266,8 @@ def _round(
     """Run one round, and return its track and the allocated priors.
 
     Hits that contradict the observations are withdrawn, and other hits for the same frames are tried instead. If all
-    hits are accepted, archive poses are withdrawn from single frames that contradict them. The last attempt only has
-    accepted priors, and is not judged again.
+    hits are accepted, archive poses are withdrawn from single frames whose observations contradict them. The last
+    attempt has only accepted priors, and is not judged again.
     """
     frames, weights = len(before.costs), settings.weights
     state = state_of(tracker, before)
@@ -329,8 +332,9 @@ def state_of(tracker: Tracker, track: Track) -> TrackState:
 def round_start(tracker: Tracker, state: TrackState, terms: PriorTerms) -> Poses:
     """Return the initial poses of a round: the track before it, with priors where the track is unreliable.
 
-    A node with an archive or pose prior starts from the prior where the node is not seen or differs by more than
-    `FAR_RAD`, or where neither hip is seen; other nodes are interpolated where they are not seen, as in a restart.
+    A node with an archive or pose prior starts from the prior in frames in which the node is not seen, differs from the
+    prior by more than `FAR_RAD`, or neither hip is seen. Other nodes that are not seen are interpolated, as in a
+    restart.
 
     Parameters
     ----------
@@ -377,12 +381,12 @@ def cost_ratios(allocation: Allocation, costs: F64, without: F64) -> F64:
     costs : float64 array (T,)
         The cost of the observations in each frame of the track with priors.
     without : float64 array (T,)
-        The same of the track without priors.
+        The cost of the observations in each frame of the track without priors.
 
     Returns
     -------
     float64 array (H,)
-        The ratio of the sums over the frames of each hit; 1 where a hit has no frame, or both sums are 0.
+        The ratio of the sums over the frames of each hit; 1 if a hit has no frame, or both sums are 0.
 
     Raises
     ------
@@ -398,18 +402,18 @@ def cost_ratios(allocation: Allocation, costs: F64, without: F64) -> F64:
 
 
 def allowed_ratios(qualities: F64, guard: float) -> F64:
-    """Return the greatest cost ratio at which each hit is still accepted.
+    """Return the largest cost ratio at which each hit is still accepted.
 
-    The limit falls linearly from `guard` for hits of cost 0 to 1 for hits of cost τ. On takes of known and unknown
-    motion, priors of hits with a cost of 0.10 to 0.13 did harm from a ratio of 1.03 on, and those of hits with a cost
-    below 0.06 helped up to 1.07.
+    The limit falls linearly from `guard` for hits of cost 0 to 1 for hits of cost τ. In experiments with takes of known
+    and unknown motion, the priors of hits with a cost of 0.10 to 0.13 did harm at ratios of 1.03 and more, whereas
+    those of hits with a cost below 0.06 were useful up to a ratio of 1.07.
 
     Parameters
     ----------
     qualities : float64 array (H,)
         1 − cost / τ of each hit.
     guard : float
-        The greatest ratio of a hit of cost 0; infinite to accept all.
+        The largest ratio of a hit of cost 0; infinite to accept all hits.
 
     Returns
     -------
@@ -424,15 +428,15 @@ def allowed_ratios(qualities: F64, guard: float) -> F64:
 def refuted_frames(allocation: Allocation, costs: F64, without: F64, rate_hz: float) -> Bool:
     """Return the frames around which a track fits the observations worse than the track without priors does.
 
-    A hit may be right as a whole and wrong in some frames. Moving averages over `LOCAL_S` are compared; where the ratio
-    exceeds `LOCAL_GUARD`, the priors of the frames within the window are withdrawn.
+    A hit may be right as a whole but wrong in some frames. Moving averages of costs over `LOCAL_S` are compared. If
+    their ratio exceeds `LOCAL_GUARD` in a frame, the priors of all frames within the window are withdrawn.
 
     Parameters
     ----------
     allocation : Allocation
         The hits of T frames.
     costs, without : float64 array (T,)
-        The cost of the observations in each frame of the track with priors, and of the one without.
+        The cost of the observations in each frame of the track with priors, and of the track without priors.
     rate_hz : float
         Frames per second.
 
@@ -476,7 +480,7 @@ class TrackState:
 def make_terms(
     state: TrackState, allocation: Allocation, motions: Sequence[PriorMotion], weights: Mapping[str, float]
 ) -> PriorTerms:
-    """Return the terms of an allocation; all of them are constant during the round.
+    """Return the terms of an allocation, which remain constant during the round.
 
     Parameters
     ----------
@@ -484,7 +488,7 @@ def make_terms(
         The track before the round.
     allocation : Allocation
         The hits of its frames.
-    motions : sequence of Motion
+    motions : sequence of PriorMotion
         The motions of the archive.
     weights : mapping of str to float
         The factor of each kind of priors that is used: "archive", "pose" and constraints.
@@ -532,15 +536,15 @@ def actual_variance(spreads: F64, residuals: F64, seen_s: F64) -> F64:
     """Return the variance of rotations about the archive's rotations, from its spread and the hit's residuals.
 
     Where the cameras are consistent for a node, they show how well the hit fits it: the variances of the archive and of
-    the residuals are averaged, with the weights `SPREAD_S` and the time for which the node is seen. So hits of a wrong
-    class pull less, and so do limbs that people move in different ways.
+    the residuals are averaged, with the weights `SPREAD_S` and the time for which the node is seen. Therefore hits of a
+    wrong class have a weaker influence, as have limbs that people move in different ways.
 
     Parameters
     ----------
     spreads : float64 array (E, K, 3)
         The spread in the archive in each frame, in radians.
     residuals : float64 array (K, 3)
-        Root mean square of the residuals, in radians; NaN where a node is hardly seen.
+        Root mean square of the residuals, in radians; NaN if a node is hardly seen.
     seen_s : float64 array (K,)
         The time for which each node is seen, in seconds.
     """

@@ -1,1 +1,1 @@
-"""This package finds the intervals of an archive that fit a template best, exactly, without computing all distances."""
+"""This package finds the best matches of a template in an archive exactly, without computing all distances."""

@@ -21,8 +21,7 @@ from kinedex.ops.templates.templates import QuantisedTemplate
 from kinedex.ops.words import TakeWords
 
 _MARGIN = 0.12
-"""Share of τ by which the search threshold of the best hits exceeds their coarse bounds, which can be that much too
-low.
+"""Fraction of τ by which the threshold for the best hits exceeds their coarse bounds, which may be too low by so much.
 """
 
 _BLOCK = 1024
@@ -31,7 +30,7 @@ _BLOCK = 1024
 
 @dataclass(frozen=True)
 class Hits:
-    """The intervals that fit a template best, the best first.
+    """The intervals that match a template best, the best first.
 
     Parameters
     ----------
@@ -44,11 +43,11 @@ class Hits:
     frames : int
         The number of frames of the takes or ranges.
     computed : int
-        The number of frames for which more than the coarse bound was computed column by column: a bound in 16 bits (see
-        `ops.distances.pruning.FineBound`) or sums for the best hits, lead-in frames included; frames that were computed
-        twice count twice.
+        The number of frames for which more than the coarse bound was computed: a bound in 16 bits
+        (`ops.distances.pruning.FineBound`), or the sums for the best hits, both including lead-in frames. Frames that
+        were computed twice are counted twice.
     bounded : bool
-        True if the coarse bound was computed, without which nothing is skipped.
+        True if the coarse bound was computed; without it, no frames are skipped.
     """
 
     takes: I64
@@ -64,7 +63,7 @@ class Hits:
 
     @classmethod
     def none(cls, frames: int = 0, *, bounded: bool = False) -> Hits:
-        """Return no hits in a number of frames, none of which was computed."""
+        """Return an empty result for a number of frames of which none was computed."""
         empty = np.empty(0, np.int64)
         return cls(empty, empty, empty, np.empty(0), frames, 0, bounded)
 
@@ -74,11 +73,11 @@ class Hits:
         Parameters
         ----------
         other : Hits
-            Hits in takes in which none of these are; both count the same takes.
+            Hits of other takes. Both objects must refer to the same numbering of takes.
         order : int64 array (T,)
             The rank of each take among hits of equal cost.
         most : int, optional
-            The number of hits to keep, the best ones; None keeps all.
+            The number of best hits to keep; None to keep all.
         """
         columns = zip(self._columns(), other._columns(), strict=True)
         takes, starts, stops, costs = (np.concatenate(pair) for pair in columns)
@@ -94,7 +93,7 @@ class Hits:
 
 @dataclass(frozen=True)
 class _Archive:
-    """The words to rank, after their arguments were checked.
+    """The words in which hits are ranked, after the arguments have been checked.
 
     Parameters
     ----------
@@ -133,39 +132,39 @@ def rank(
 ) -> Hits:
     """Rank the hits of a template, the local minima of its distance curve below a threshold, the best first.
 
-    A selected hit of m frames excludes those in its take that end within 0.5 m before to 0.1 m after its end or start
-    within 0.1 m before to 0.5 m after its start. Costs closer than 1e-9 are equal; of equal hits that of the first take
-    comes first (in `order`), and within it the one that ends first.
+    A selected hit of m frames excludes worse hits of its take that end between 0.5 m before and 0.1 m after its end, or
+    start between 0.1 m before and 0.5 m after its start. Costs that differ by less than 1e-9 are treated as equal. Of
+    equal hits, that of the first take (in `order`) comes first, and within a take the hit that ends first.
 
-    The hits are those of the whole curve in float64 (`tests/oracles/ranking.py` computes them that way). Here
-    candidates are kept in a heap by their lower bounds (`ops.distances.pruning`); the best one is computed and put back
-    with its true cost; when it is reached again, no better one is left. Candidates that a selected hit excludes are
-    never computed.
+    The hits equal those of the whole curve in float64, which `tests/oracles/ranking.py` computes. Candidates are kept
+    in a heap ordered by their lower bounds (`ops.distances.pruning`). The first candidate is computed and put back with
+    its true cost; when it is first again, no better candidate is left, and it is selected. Candidates that a selected
+    hit excludes are never computed.
 
-    If only the best hits are requested, they are first searched below a lower threshold, estimated from the coarse
-    bound, and in the order of that bound alone (`ops.ranking.block_search`). Hits below the lower threshold are also
-    the first ones below τ, as hits are selected in the order of cost and excluded only by better ones. If there are not
-    enough of them, the threshold is raised.
+    If only the best hits are requested, they are first searched below a lower threshold, which is estimated from the
+    coarse bound, and in the order of that bound (`ops.ranking.block_search`). Since hits are selected in order of cost
+    and excluded only by better hits, the hits below the lower threshold are also the first hits below τ. If there are
+    not enough of them, the threshold is raised.
 
     Parameters
     ----------
     template : QuantisedTemplate
-        N columns.
+        A template of N columns.
     words : TakeWords
-        The takes.
+        The words of the takes.
     threshold : float
-        τ > 0.
+        The threshold τ > 0.
     most : int, optional
-        The most hits to return; None for all.
+        The maximum number of hits to return; None for all.
     ranges : int64 array (R, 2), optional
-        Half-open ranges of the words laid end to end, ascending, disjoint, and each within a take, that paths must not
-        leave; None: the takes.
+        Half-open ranges of frames of the concatenated takes, which paths must not leave. They must be ascending and
+        disjoint, and each must lie within a take. None for all frames of each take.
     coded : CodedWords, optional
-        `encode(words.words)`, where several templates share it.
+        The result of `encode(words.words)`, which several templates may share; computed if it is not given.
     coarse : CoarseBound, optional
-        The template's coarse bound for τ or more on these words and ranges, where it is known.
+        The template's coarse bound on these words and ranges, for τ or a greater threshold; computed if not given.
     order : int64 array (T,), optional
-        The place of each take among equal hits; None: the order of the takes.
+        The rank of each take among hits of equal cost; by default the order of the takes.
 
     Raises
     ------
@@ -199,15 +198,15 @@ def rank_together(
     templates : sequence of QuantisedTemplate
         T templates.
     words : TakeWords
-        The takes.
+        The words of the takes.
     thresholds : float64 array (T,)
         The threshold τ > 0 of each template.
     most : int, optional
-        The most hits of each template; None for all.
+        The maximum number of hits of each template; None for all.
     coded : CodedWords, optional
-        `encode(words.words)`, where it is known.
+        The result of `encode(words.words)`; computed if it is not given.
     order : int64 array, optional
-        The place of each take among equal hits; None: the order of the takes.
+        The rank of each take among hits of equal cost; by default the order of the takes.
 
     Raises
     ------
@@ -262,7 +261,8 @@ def _archive(words: TakeWords, ranges: I64 | None, coded: CodedWords | None, ord
 def _rising(coarse: CoarseBound, threshold: float, most: int, columns: int) -> list[float]:
     """Return thresholds below τ to try, in ascending order; the first one is likely to give enough hits.
 
-    An interval of as many frames as the template has columns holds one or two hits; its least bound estimates the best.
+    An interval of as many frames as the template has columns contains one or two hits, and its smallest bound is an
+    estimate of the best of them.
     """
     width = max(columns // BLOCK, 1)
     blocks = coarse.sums[: len(coarse.sums) // width * width].reshape(-1, width)
@@ -289,7 +289,7 @@ def _best_below(
 def _all_below(
     template: QuantisedTemplate, archive: _Archive, threshold: float, most: int | None, coarse: CoarseBound | None
 ) -> Hits:
-    """Return all or the best hits below a threshold, computed in the frames that finer bounds leave."""
+    """Return all or the best hits below a threshold, computed in the frames that finer bounds do not exclude."""
     coded, ranges, columns = archive.coded, archive.ranges, len(template)
     bound = fine_bound(template, coded, threshold, ranges, coarse)
     frames, possible = possible_minima(bound.units, bound.ranges, bound.slack)
@@ -316,17 +316,17 @@ def grouped(candidates: I64, ranges: I64, columns: int) -> I64:
     """Return the groups of candidates that are computed together in one window.
 
     The cost of a candidate depends on the 2(N − 1) frames before it, so that candidates close to each other share most
-    of the work. Neighbouring candidates, as in a motionless interval, are grouped in blocks of at most `_BLOCK` frames,
-    so a window spans at most that many frames plus the lead-in, however long the interval is.
+    of the work. Many successive candidates, as in a motionless interval, are divided into blocks of at most `_BLOCK`
+    frames, so that a window never has more frames than this plus the lead-in.
 
     Parameters
     ----------
     candidates : int64 array (C,)
-        Ascending frames.
+        The frames of the candidates, ascending.
     ranges : int64 array (C,)
         The number of the range of each candidate.
     columns : int
-        N.
+        The number of columns N of the template.
 
     Returns
     -------

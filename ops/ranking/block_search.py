@@ -1,7 +1,7 @@
 """This module finds the best hits of a template block by block, in the order of coarse lower bounds.
 
-If only a few hits are requested, most blocks that may contain a hit below the threshold are never needed. Finer bounds
-of all blocks would cost more than the exact sums of the few blocks that are needed.
+If only a few hits are requested, most blocks that may contain a hit below the threshold are not needed. Computing finer
+bounds for all blocks would take longer than computing the exact sums of the few blocks that are needed.
 """
 
 from __future__ import annotations
@@ -39,7 +39,8 @@ def gather_blocks(blocks: I64, sums: U8, ranges: I64, takes: I64, columns: int) 
     Returns
     -------
     int64 array (G, 6)
-        For each group its half-open range of frames, the half-open range that it lies in, its take, and the least sum.
+        For each group its half-open range of frames, the range of `ranges` that contains it, its take, and its smallest
+        sum.
     """
     groups = np.empty((len(blocks) + len(ranges), 6), np.int64)
     count, place, known = 0, 0, -1
@@ -69,9 +70,9 @@ def select_from_blocks(
 ) -> tuple[Selection, int]:  # fmt: skip
     """Select hits below a threshold, the best first, until there are enough or none is left (kernel).
 
-    Groups and minima wait in one heap, as in `ops.ranking.hit_selection.select_best`: a group by its least sum, which
-    is a lower bound, and a minimum by its cost. The minima of a group are found when it is reached. Minima are numbered
-    by their frames, counted over all groups in order.
+    Groups and minima are in one heap, as in `ops.ranking.hit_selection.select_best`. The key of a group is its smallest
+    sum, which is a lower bound, and the key of a minimum is its cost. The minima of a group are computed when the group
+    comes first in the heap. The number of a minimum is its position among the frames of all groups.
 
     Parameters
     ----------
@@ -84,9 +85,9 @@ def select_from_blocks(
     threshold : float
         The threshold τ.
     groups : int64 array (G, 6)
-        See `gather_blocks`; outside of them no distance is below the threshold.
+        The groups, see `gather_blocks`; outside the groups no distance is below the threshold.
     unit : float
-        The distance that a unit of the sums stands for.
+        The distance that corresponds to one unit of the sums.
     order : int64 array (T,)
         The rank of each take among hits of equal cost.
     most : int
@@ -119,7 +120,7 @@ def select_from_blocks(
         start, stop = not_excluded(start, stop, hits, take)
         if start == stop:
             continue
-        # Whether a frame is a minimum depends on its neighbours.
+        # The neighbours of a frame are needed to judge if it is a minimum.
         low, high = max(start - 1, opens), min(stop + 1, closes)
         begin = max(low - 2 * (columns - 1), opens)
         computed += high - begin
@@ -158,7 +159,7 @@ def group_heap(groups: I64, unit: float, order: I64) -> tuple[Heap, I64, int]:
     numbers : int64 array (G + 1,)
         The number of the first frame of each group.
     longest : int
-        The most frames of a group.
+        The number of frames of the longest group.
     """
     heap = [(np.int64(0), np.int64(0), np.int64(0), np.int64(0))]
     heap.pop()

@@ -15,7 +15,7 @@ from kinedex.ops.distances.sweep import CAP
 from kinedex.ops.distances.window_sums import make_window, path_start, sum_window
 
 KEYS = 1e9
-"""Factor from costs to integer keys: costs that agree to a billionth are equal, and the earlier frame comes first."""
+"""Factor from costs to integer keys; costs that differ by less than about a billionth have the same key."""
 
 Heap = list[tuple[np.int64, np.int64, np.int64, np.int64]]
 """Heap entries: the key, 0 for a bound or 1 for a cost, the rank of the take among equal hits, and the number. At equal
@@ -86,8 +86,8 @@ def select_best(
 ) -> Selection:  # fmt: skip
     """Select hits, the best first, until there are enough or none is left (kernel).
 
-    A minimum depends on its neighbours. If a neighbour is in another group, as where a motionless interval is divided,
-    it is computed here too.
+    The neighbours of a frame are needed to judge if it is a minimum. If a neighbour is in another group, as in a
+    motionless interval that was divided, it is computed with this group as well.
 
     Parameters
     ----------
@@ -102,7 +102,7 @@ def select_best(
     units : uint16 array (L,)
         See `ops.distances.pruning.FineBound`.
     unit : float
-        The distance that a unit stands for.
+        The distance that corresponds to one unit.
     candidates : Candidates
         The frames that can be minima, and their neighbours.
     order : int64 array (T,)
@@ -204,7 +204,7 @@ def with_neighbours(candidates: Candidates, first: int, stop: int) -> tuple[int,
 def is_least(frames: I64, distances: F64, low: int, i: int, threshold: float) -> bool:
     """Return True if a candidate is below the threshold and not above its neighbours (kernel).
 
-    A neighbouring frame that is no candidate has a provably greater cost.
+    If a neighbouring frame is not a candidate, its cost is known to be greater.
 
     Parameters
     ----------

@@ -1,8 +1,8 @@
 """These kernels search keyframes frame by frame within candidate windows, and collect the ranges of hits.
 
-The n blocks of all windows are consecutive here, even if they are not in the archive: index[i] is the number of block i
-in the bit slices, and follow[i] the number of blocks of its window that come after it. Bitmaps have one uint64 for each
-block.
+These kernels number the n blocks of all windows consecutively, even if the blocks are not adjacent in the archive:
+index[i] is the number of block i in the bit slices, and follow[i] is the number of later blocks in its window. Bitmaps
+have one uint64 for each block.
 """
 
 from __future__ import annotations
@@ -42,7 +42,7 @@ def match_all(bits, height, index, granules, at, keyframes, spare, remaining):  
         After rows, flips and edges come the order in which to search the keyframes, and the words of a block to
         prefetch.
     remaining : uint64 array (K, n or more)
-        Is filled with the bitmaps of the frames, or in part where a keyframe has none.
+        Output: the bitmaps of the frames of the keyframes; incomplete if a keyframe has no frame.
 
     Returns
     -------
@@ -89,7 +89,7 @@ def match(bits, height, index, granules, at, rows, flips, spare, remaining):  # 
     index : int64 array (n,)
         The blocks of all windows.
     granules : uint8 array
-        The granules of the keyframe, from block `at` on; a block without any is skipped.
+        The granules of the keyframe, from block `at` on; a block without granules is skipped.
     at : int
         The first block of `granules`.
     rows : uint64 array (r,)
@@ -99,7 +99,7 @@ def match(bits, height, index, granules, at, rows, flips, spare, remaining):  # 
     spare : uint64 array (3, n or more)
         Working memory.
     remaining : uint64 array (n or more,)
-        Is filled with the bitmap of the frames.
+        Output: the bitmap of the frames.
 
     Returns
     -------
@@ -133,7 +133,7 @@ def match(bits, height, index, granules, at, rows, flips, spare, remaining):  # 
 
 @njit(cache=True, nogil=True)
 def complete(here, later, follow, longest, low, high, spare):  # type: ignore[no-untyped-def]
-    """Keep the frames of a keyframe from which a frame of the next can be reached, and return True if there are any.
+    """Keep the frames of a keyframe from which a frame of the next keyframe can be reached; return True if any is left.
 
     The later bitmap is widened to the gap [0, high - low] by doubling, then shifted by `low`, within windows.
 
@@ -201,7 +201,7 @@ def _fill(bitmap, follow):  # type: ignore[no-untyped-def]
 def _widen(bitmap, size, onward, by):  # type: ignore[no-untyped-def]
     """Unite a bitmap with itself shifted by less than a block to earlier frames of the same window.
 
-    A block reads itself and the next one, which has not been changed yet.
+    Each block is computed from itself and the next block, which has not been changed yet.
     """
     end, one = np.uint64(size - 1), np.uint64(1)
     by = np.uint64(by)

@@ -1,13 +1,14 @@
-"""This module searches keyframes on bit slices, 64 frames at a time; stores answer their queries with it.
+"""This module searches keyframe queries on bit slices, 64 frames at a time; it is the search that stores use.
 
-The inverted keyframe list of a keyframe, as a bitmap over frames, is the AND of the slices of its features (or of their
-complements where the keyframe wants them off). The frames from which the rest of a query can be completed are the AND
-of that bitmap with the bitmap of the next keyframe, widened by the gap, which takes a few shifts. No lists are merged
-or sorted, and wildcards cost nothing.
+A slice is a bitmap over frames that marks where a feature is on. The frames that match a keyframe are the AND of the
+slices of the features that must be on and of the complements of those that must be off. The frames from which the
+remaining keyframes of a query can be reached are the AND of this bitmap with that of the next keyframe, widened by the
+gap, which takes a few shifts. No lists are merged or sorted, and wildcards need no work.
 
-All of that is done with the coarse slices first (`ops.search.bit_slice_windows`), an eighth as long: a granule may
-contain the keyframe only if each feature has the required value in some frame of it. The remaining granules, a small
-part of an archive, are searched frame by frame (`ops.search.bit_slice_frames`), in windows as long as the gaps allow.
+The search first uses the coarse slices (`ops.search.bit_slice_windows`), which have an eighth of the length. A granule
+of 8 frames can contain a match of a keyframe only if each feature has the required value in some frame of the granule.
+The remaining granules, a small part of an archive, are searched frame by frame (`ops.search.bit_slice_frames`), in
+windows as long as the gaps allow.
 `ops.search.keyframe_search` finds the same ranges with the lists of the thesis.
 """
 
@@ -45,36 +46,36 @@ def search_slices(
 ) -> I64:
     """Return the union of the ranges of all hits of a keyframe query (thesis, Section 3.5).
 
-    Backwards, the bitmap of each keyframe keeps the frames from which the rest of the query can be completed. Forwards,
-    the last frame of each remaining start segment is followed to the largest remaining frame that each gap admits, as
-    in `ops.search.keyframe_search.search_lists`. The work is O(K * frames / 512), plus O(K * frames / 64) for the
-    remaining windows, without recursion. The function does not write to the slices and releases the interpreter lock,
-    so threads may search parts of them at the same time.
+    A backward pass reduces the bitmap of each keyframe to the frames from which the remaining keyframes can be reached.
+    A forward pass starts at the last frame of each remaining segment of the first keyframe, and proceeds to the largest
+    remaining frame that each gap allows, as in `ops.search.keyframe_search.search_lists`. The work is
+    O(K * frames / 512), plus O(K * frames / 64) for the remaining windows. The function does not write to the slices
+    and releases the interpreter lock, so that several threads may search parts of them at the same time.
 
     Parameters
     ----------
     slices : BitSlices
         T takes; take t has index t on the axis of positions.
     masks, values : sequence of int
-        K >= 1 keyframes in bits of whole words (features of several sets go into one).
+        K >= 1 keyframes in bits of whole words.
     gaps : sequence of (int, int)
         K - 1 admissible gaps (low, high) in frames, both ends included; from `UNBOUNDED` on there is no upper bound.
     takes : (int, int), optional
-        Search only the takes from takes[0] to takes[1] - 1. Consecutive parts find, one after the other, what the whole
-        finds; nothing is copied.
+        Search only the takes from takes[0] to takes[1] - 1, without a copy. The concatenated results of consecutive
+        parts equal the result for all takes.
 
     Returns
     -------
     int64 array (n, 2)
         The ranges from the first to the last keyframe of all hits, as segments of the axis of positions
-        (`ops.ranges`); ranges that overlap or touch are one. No hit begins or ends in an invalid frame, and no
-        keyframe matches there, but gaps may span them.
+        (`ops.ranges`); ranges that overlap or touch are merged. No keyframe matches an invalid frame, but gaps may
+        contain invalid frames.
 
     Raises
     ------
     ParameterError
-        If there is no keyframe, a mask lies beyond the features, a value lies beyond its mask, the gaps do not fit, or
-        the takes do not exist.
+        If there is no keyframe, a mask has bits beyond the features, a value has bits outside its mask, the gaps are
+        invalid, or the takes do not exist.
     """
     begin, end = (0, len(slices)) if takes is None else takes
     if not 0 <= begin <= end <= len(slices):
@@ -188,10 +189,10 @@ def _chunk_end(first, take, end, chunk):  # type: ignore[no-untyped-def]
 def _plan(features, masks, values):  # type: ignore[no-untyped-def]
     """Return the rows that keyframes need, and the order in which to search the keyframes.
 
-    Keyframe k needs rows[edges[k]] to rows[edges[k + 1]], with all bits flipped for features that must be off, and the
-    corresponding coarse rows. If it requires no feature to be on (in invalid frames none is), the row of valid frames
-    is added. The rows are padded to multiples of four. Keyframes with many rows come first in the order, since they are
-    rare; the order affects the speed only.
+    Keyframe k needs rows[edges[k]] to rows[edges[k + 1] - 1], with all bits flipped for features that must be off, and
+    the corresponding coarse rows. If it requires no feature to be on, the row of valid frames is added, because all
+    features are off in invalid frames. The rows are padded to multiples of four. Keyframes with many rows come first in
+    the order, since they match few frames; the order affects only the speed.
     """
     count = len(masks)
     room = (features // 4 + 1) * 4 * count

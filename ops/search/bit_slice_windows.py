@@ -1,9 +1,9 @@
 """These kernels find the candidate windows of a keyframe query, the runs of blocks that may contain hits.
 
-A granule is a few frames (`ops.search.bit_slices.GRANULE`) with one bit in each coarse bitmap. Frame f lies in granule
-floor(f / G), so a gap of low to high frames leads floor(low / G) to ceil(high / G) granules on. The search is
-conservative: a dropped granule is in no hit, while a kept one may be in none, also because gaps may lead into the next
-take here.
+A granule consists of G = `ops.search.bit_slices.GRANULE` frames and has one bit in each coarse bitmap. Frame f lies in
+granule floor(f / G), so a gap of low to high frames is a gap of floor(low / G) to ceil(high / G) granules. The search
+is conservative: a granule that is dropped belongs to no hit, but a granule that is kept may also belong to none, for
+instance because gaps may lead into the next take.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ def coarse_starts(coarse, features, blocks, rows, edges, order, gaps, found, spa
     coarse, features
         Of `BitSlices`.
     blocks : (int, int)
-        The blocks blocks[0] to blocks[1] are searched.
+        The blocks from blocks[0] to blocks[1] - 1 are searched.
     rows : int64 array
         Keyframe k uses the coarse rows rows[edges[k]] to rows[edges[k + 1]], a multiple of four.
     edges : int64 array (K + 1,)
@@ -38,8 +38,8 @@ def coarse_starts(coarse, features, blocks, rows, edges, order, gaps, found, spa
     gaps : int64 array (K - 1, 2)
         Admissible gaps in frames.
     found : uint64 array (K, n)
-        Is filled with the granules in which each keyframe may be and the rest of the query may be completed, from the
-        word on that holds those of the first block.
+        Output: bitmaps of the granules that may match each keyframe and from which the remaining keyframes may be
+        reached, starting with the word that contains the granules of the first block.
     spare : uint64 array (2 or more, n)
         Working memory.
 
@@ -89,7 +89,7 @@ def _all_rows(coarse, stride, at, size, rows, begin, end, found):  # type: ignor
 
 @njit(cache=True, nogil=True)
 def _complete(here, later, size, widened, moved, low, high):  # type: ignore[no-untyped-def]
-    """Keep the granules of a keyframe from which one of the next can be reached; return True if there are any."""
+    """Keep the granules of a keyframe from which one of the next keyframe can be reached; return True if any is left."""
     longest = size * BLOCK
     nearest, farthest = low // GRANULE, min((high + GRANULE - 1) // GRANULE, longest)
     if nearest >= longest:
@@ -133,7 +133,7 @@ def _fill(bitmap, size):  # type: ignore[no-untyped-def]
 
 @njit(cache=True, nogil=True)
 def _widen(bitmap, size, by):  # type: ignore[no-untyped-def]
-    """Unite a bitmap with itself shifted by less than a word; a word reads itself and the next, not yet changed."""
+    """Unite a bitmap with itself shifted by less than a word to earlier granules, in place."""
     end, one = np.uint64(size - 1), np.uint64(1)
     by = np.uint64(by)
     upper = np.uint64(BLOCK) - by
@@ -161,7 +161,7 @@ def _move(bitmap, size, moved, by):  # type: ignore[no-untyped-def]
 
 @njit(cache=True, nogil=True)
 def windows(found, ends, blocks, span, index, follow):  # type: ignore[no-untyped-def]
-    """Collect the blocks that contain all hits: from granules in which hits may begin, as far as the gaps reach.
+    """Collect the blocks that may contain hits: from granules in which hits may begin, as far as the gaps allow.
 
     Parameters
     ----------
@@ -174,9 +174,9 @@ def windows(found, ends, blocks, span, index, follow):  # type: ignore[no-untype
     span : int
         The sum of the upper bounds of all gaps, in frames.
     index : int64 array (b + 2 or more,)
-        Is filled with the blocks, ascending, and -1 after them.
+        Output: the blocks, ascending, followed by -1.
     follow : int32 array (b or more,)
-        Is filled with the number of blocks of the same window that follow each block.
+        Output: the number of blocks of the same window that follow each block.
 
     Returns
     -------

@@ -1,8 +1,7 @@
 """Bit slices store the words of an archive as one bitmap per feature, with 64 frames in each uint64.
 
-Each take begins in a block of its own (64 frames, one uint64) and ends with at least one spare frame, so that segments
-of different takes never touch. A coarse copy has one bit for every 8 frames. `ops.search.bit_slice_search` searches
-both.
+Each take begins in a new block (64 frames, one uint64) and ends with at least one spare frame, so that segments of
+different takes never touch. A coarse copy has one bit for every 8 frames. `ops.search.bit_slice_search` searches both.
 """
 
 from __future__ import annotations
@@ -28,7 +27,7 @@ GRANULE = 8
 copy is half as large, but twice as many blocks have to be searched.
 """
 GRANULES = BLOCK // GRANULE
-"""The number of granules in a block: 8, so that those of one block form a byte."""
+"""The number of granules in a block, which form a byte."""
 
 _VALID = MAX_FEATURES
 _VALID_BIT = np.uint64(1 << _VALID)
@@ -45,14 +44,15 @@ class BitSlices:
     Parameters
     ----------
     bits : uint64 array (B * (f + 1),)
-        Block after block: bit j of word n of a block is feature F_(n + 1) in its frame j. The last word of a block
-        marks the valid frames; no feature is on in the others. This order keeps data adjacent that is read together.
+        The blocks one after the other, each with f + 1 words: bit j of word n is feature F_(n + 1) in frame j of the
+        block. The last word of a block marks the valid frames; in other frames all features are off. In this order,
+        data that is read together is adjacent.
     coarse : uint64 array ((2 f + 1) * ceil(B / 8),)
-        Row after row, bitmaps over granules of 8 frames (`GRANULE`); block b has the bits 8 b to 8 b + 8 of a row. Row
-        n marks where F_(n + 1) is on in some frame of the granule, row f + n where it is off in some valid frame, and
-        the last row where some frame is valid.
+        Rows of bitmaps over granules of 8 frames (`GRANULE`), one after the other; block b has the bits 8 b to 8 b + 7
+        of a row. Row n marks the granules in which F_(n + 1) is on in some frame, row f + n those in which it is off in
+        some valid frame, and the last row those with a valid frame.
     first : int64 array (T + 1,)
-        Take t has the blocks first[t] to first[t + 1].
+        Take t has the blocks first[t] to first[t + 1] - 1.
     frames : int64 array (T,)
         The length of each take.
     left : int32 array (B,)
@@ -95,9 +95,9 @@ class BitSlices:
     def ends(self) -> U64:
         """Return the last blocks of all takes as pairs of words, uint64 (2 * ceil(B / 64),).
 
-        The first of a pair is a word of the bitmap that marks these blocks, the second the number of takes that end
-        before it. A search looks up the take of arbitrary blocks and the number of blocks that follow in it: this array
-        fits a processor's cache where `first` and `left` do not.
+        The first number of a pair is a word of the bitmap that marks these blocks, and the second is the number of
+        takes that end before this word. A search uses this array instead of `first` and `left` to look up the take of a
+        block and the number of blocks that follow in it, because this array fits into a processor's cache.
         """
         marked = np.zeros(-(-len(self.left) // BLOCK) * BLOCK, np.bool_)
         marked[self.first[1:] - 1] = True
@@ -130,9 +130,9 @@ def slice_words(words: U64, offsets: I64, features: int) -> BitSlices:
     Parameters
     ----------
     words : uint64 array (N,)
-        Whole words of T takes, laid end to end; `NO_WORD` for an invalid frame.
+        The concatenated whole words of T takes; `NO_WORD` for an invalid frame.
     offsets : int64 array (T + 1,)
-        Take t has the words offsets[t] to offsets[t + 1].
+        Take t has the words offsets[t] to offsets[t + 1] - 1.
     features : int
         The number of features f, 1 to 63.
 
@@ -176,7 +176,8 @@ def unsliced_words(slices: BitSlices, takes: I64, starts: I64, words: U64, range
     words : uint64 array (N,)
         The array; `NO_WORD` is written for an invalid frame, and other elements are left unchanged.
     ranges : int64 array (R, 2), optional
-        Half-open ranges of indices of the array, ascending and disjoint; other words may be left unchanged. None: all.
+        Half-open ranges of indices of the array, ascending and disjoint, in which words are needed; words outside the
+        ranges may be left unchanged. None to write all words.
 
     Raises
     ------
@@ -264,8 +265,8 @@ def _slice(words, offsets, first, features, bits, coarse):  # type: ignore[no-un
 def _coarsened(bits):  # type: ignore[no-untyped-def]
     """Return one bit for each granule that has any bit set.
 
-    The bits of a granule are folded onto its lowest one, and these are gathered in the top byte by a multiplication
-    without carries.
+    The bits of a granule are folded onto its lowest bit. The lowest bits of all granules are then gathered in the top
+    byte by a multiplication without carries.
     """
     width = GRANULE // 2
     while width:

@@ -1,4 +1,4 @@
-"""This module converts gaps between keyframes: ranges of frames, or distance and stiffness (thesis, 3.4 and 4.1)."""
+"""This module converts gaps between keyframes from distance and stiffness to ranges, and back (thesis, 3.4 and 4.1)."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ UNBOUNDED = 2**31 - 1
 def gap_bounds(distance: int, stiffness: float) -> tuple[int, int]:
     """Return the admissible gap for a distance and a stiffness (thesis, Eq. 3.3, 4.5 and 4.6).
 
-    Products are rounded to 1e-9 first: in plain float64, floor(7 / 0.07) is 99.
+    Products and quotients are rounded to 1e-9 first, because floor(7 / 0.07) is 99 in plain float64.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""An inverted list of a word holds its runs, in order of take and start (thesis, Section 3.3)."""
+"""This module makes inverted lists: the list of a word holds its runs, in order of take and start (thesis, 3.3)."""
 
 from __future__ import annotations
 
@@ -21,14 +21,14 @@ that runs are placed by counting in one pass. With more features the runs are so
 
 
 class InvertedLists(NamedTuple):
-    """The inverted lists of V distinct words, one after the other, with R runs in all.
+    """The concatenated inverted lists of V distinct words, with R runs in total.
 
     Parameters
     ----------
     words : uint64 array (V,)
         The distinct words, ascending.
     offsets : int64 array (V + 1,)
-        The runs of words[v] are offsets[v] to offsets[v + 1].
+        The runs of words[v] are offsets[v] to offsets[v + 1] - 1.
     take : int32 array (R,)
         The position of the take of each run. Within a list the runs are in order of take and start.
     start : int32 array (R,)
@@ -90,9 +90,9 @@ def inverted_lists(words: U64, offsets: I64, first_feature: int, features: int) 
     Parameters
     ----------
     words : uint64 array (N,)
-        The whole words of T takes, laid end to end; `NO_WORD` for an invalid frame, which is in no list.
+        The concatenated whole words of T takes; `NO_WORD` for an invalid frame, which is in no list.
     offsets : int64 array (T + 1,)
-        Take i has the words offsets[i] to offsets[i + 1]. No take has 2**31 frames or more.
+        Take i has the words offsets[i] to offsets[i + 1] - 1. Takes must have fewer than 2**31 frames.
     first_feature : int
         The number of the set's lowest feature, from 1.
     features : int

@@ -8,11 +8,11 @@ counts from 1 and includes both ends.
     μ_k               admissible range, Eq. 3.11             gaps[k] = (low, high), from `ops.search.gaps.gap_bounds`
     KeyframeSearch    Algorithm 1                            `search_lists`
 
-Algorithm 1 is a recursion that visits the same segments repeatedly if the stiffness is low. Here two passes
-over the lists find the same ranges. The first goes backwards: `completable_frames` keeps of every list the frames from
-which the rest of the query can be completed, so that no attempt fails later. The second goes forwards: the last frame
-of each remaining start segment is followed to the largest remaining frame that each gap admits. The tests compare both
-passes with the recursion as printed (`tests/oracles/keyframes.py`).
+Algorithm 1 is a recursion that visits the same segments repeatedly if the stiffness is low. This module finds the same
+ranges by two passes over the lists. In a backward pass, `completable_frames` reduces every list to the frames from
+which the remaining keyframes of the query can be reached, so that no later attempt fails. A forward pass starts at the
+last frame of each remaining segment of the first keyframe and proceeds to the largest remaining frame that each gap
+allows. The tests compare both passes with the recursion as printed (`tests/oracles/keyframes.py`).
 
 Searches of a store use bit slices instead (`ops.search.bit_slice_search`), which is faster. The lists serve to explain
 the results (`kinedex search --explain`) and to test them.
@@ -39,8 +39,8 @@ def keyframe_list(lists: InvertedLists, mask: int, value: int) -> I64:
     lists : InvertedLists
         The inverted lists of one feature set.
     mask, value : int
-        The keyframe: it stands for every word with ``word & mask == value``. Bits outside the mask are wildcards. The
-        words that occur are filtered, so wildcards cost nothing.
+        The keyframe, which matches every word with ``word & mask == value``; bits outside the mask are wildcards. Only
+        words that occur are compared, so wildcards do not increase the cost.
 
     Returns
     -------
@@ -63,7 +63,7 @@ def keyframe_list(lists: InvertedLists, mask: int, value: int) -> I64:
 
 
 def completable_frames(lists: Sequence[I64], gaps: Sequence[tuple[int, int]]) -> list[I64]:
-    """Reduce each keyframe list to the frames from which the rest of the query can be completed.
+    """Reduce each keyframe list to the frames from which the remaining keyframes of the query can be reached.
 
     Parameters
     ----------
@@ -75,8 +75,9 @@ def completable_frames(lists: Sequence[I64], gaps: Sequence[tuple[int, int]]) ->
     Returns
     -------
     list of int64 arrays (n, 2)
-        K lists of segments. A frame stays in list k if it can be the k-th frame of a sequence that meets the keyframes
-        k to K under their gaps. So the last list stays whole, and the first one holds the first frames of all hits.
+        K lists of segments. A frame remains in list k if it is the first frame of a sequence of frames that matches the
+        keyframes k to K with their gaps. Hence the last list is unchanged, and the first list contains exactly the
+        first frames of all hits.
 
     Raises
     ------
@@ -97,9 +98,9 @@ def completable_frames(lists: Sequence[I64], gaps: Sequence[tuple[int, int]]) ->
 def search_lists(lists: Sequence[I64], gaps: Sequence[tuple[int, int]]) -> I64:
     """Return the union of the ranges of all hits of a keyframe query (thesis, Section 3.5, Algorithm 1).
 
-    A hit is a sequence of frames that meets the keyframes under the gaps (Eq. 3.2 and 3.3). The farthest end of a hit,
-    E(n), does not decrease with its first frame n. So the hits that begin in a segment [s, e] cover exactly [s, E(e)],
-    and E(e) is found by going from e to the largest completable frame that each gap admits.
+    A hit is a sequence of frames that matches the keyframes with the gaps (Eq. 3.2 and 3.3). Let E(n) be the latest end
+    of a hit that begins in frame n. E does not decrease with n, so the hits that begin in a segment [s, e] cover
+    exactly [s, E(e)]. E(e) is found by going from e to the largest completable frame that each gap allows.
 
     Parameters
     ----------
@@ -111,7 +112,7 @@ def search_lists(lists: Sequence[I64], gaps: Sequence[tuple[int, int]]) -> I64:
     Returns
     -------
     int64 array (n, 2)
-        The ranges from the first to the last keyframe of all hits; ranges that overlap or touch are one.
+        The ranges from the first to the last keyframe of all hits; ranges that overlap or touch are merged.
 
     Raises
     ------

@@ -19,9 +19,9 @@ _COST_UNIT = 2**40
 def template_margins(first: int, last: int, columns: int, stiffness: float) -> tuple[int, int]:
     """Return the margins by which a template may extend beyond a hit of its keyframe query.
 
-    A query covers the motion from its first to its last keyframe (thesis, Section 5.3). The template's columns before
-    and after these take as many frames as the query's softest gap allows, but no more than a warping path can (two
-    frames a column).
+    A hit covers the motion from the first to the last keyframe of the query (thesis, Section 5.3). The template's
+    columns before and after these keyframes may take as many frames as the query's smallest stiffness allows, but no
+    more than two frames per column, the limit of a warping path.
 
     Parameters
     ----------
@@ -56,10 +56,10 @@ def fit_keyframes(
     values: npt.NDArray[np.bool_],
     gaps: Sequence[tuple[int, int]],
 ) -> tuple[int, ...]:
-    """Find the template columns that fit the keyframes of a query best under its gaps.
+    """Find the template columns that match the keyframes of a query best, with admissible gaps between them.
 
-    The cost of a keyframe in a column is the mean of |template - value| over its fixed entries: the share of those that
-    mismatch, where a wildcard counts half.
+    The cost of a keyframe in a column is the mean of |template - value| over the keyframe's fixed entries, which is the
+    fraction of mismatches, with wildcards of the template counted as half a mismatch.
 
     Parameters
     ----------
@@ -75,8 +75,8 @@ def fit_keyframes(
     Returns
     -------
     tuple of int
-        The cheapest columns p_1 <= ... <= p_K with admissible gaps, or in any ascending order if there are none with
-        admissible gaps. Ties go to the leftmost columns, compared from the first keyframe on.
+        The cheapest columns p_1 <= ... <= p_K with admissible gaps; if there are none, the cheapest ascending columns
+        with any gaps. In a tie, the leftmost columns are chosen, compared from the first keyframe on.
 
     Raises
     ------

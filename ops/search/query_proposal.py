@@ -1,4 +1,4 @@
-"""This module proposes keyframes from an example: its poses that are rare in an archive, by word counts."""
+"""This module proposes keyframes from an example: those of its poses that are rare in an archive."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from kinedex.ops.errors import ParameterError
 from kinedex.ops.words import ALL_KNOWN, I64, NO_WORD, U64
 
 MAX_FEATURES_FIXED = 6
-"""Maximum number of features that a proposed keyframe fixes; the others are wildcards, so that it stays general."""
+"""Maximum number of features that a proposed keyframe fixes; the others are wildcards, so that the keyframe is general."""
 
 RARE_ENOUGH = 0.01
 """Share of the archive's frames at which a keyframe is rare enough to get no further features."""
@@ -37,7 +37,7 @@ class SetCounts:
     words : uint64 array (V,)
         Words reduced to the set.
     frames : int64 array (V,)
-        The frames of each word.
+        The number of frames of each word.
     """
 
     first: int
@@ -69,9 +69,10 @@ class Pose:
 def propose_poses(clip: U64, counts: Sequence[SetCounts], most: int, known: int = int(ALL_KNOWN)) -> list[Pose]:
     """Choose the keyframes that best distinguish an example from an archive.
 
-    For every run of the example a pose is built greedily, adding the steady feature that leaves the fewest of the
-    archive's frames. Then the sequence of poses with the smallest product of shares is chosen, such that no two
-    neighbours are equal or closer than half of an even spacing.
+    For every run of equal words in the example, a pose is built greedily: the feature that leaves the fewest matching
+    frames of the archive is added next, of those that do not change nearby. Then the sequence of poses with the
+    smallest product of shares is chosen. Successive poses must differ, and their distance must be at least half of
+    that of evenly spaced poses.
 
     Parameters
     ----------

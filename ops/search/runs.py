@@ -59,10 +59,10 @@ def word_runs(words: U64, offsets: I64) -> WordRuns:
     Parameters
     ----------
     words : uint64 array (N,)
-        The words of T takes, laid end to end, possibly reduced to one feature set by `ops.words.cut`. `NO_WORD` stands
-        for an invalid frame.
+        The concatenated words of T takes, possibly reduced to one feature set by `ops.words.cut`; `NO_WORD` for an
+        invalid frame.
     offsets : int64 array (T + 1,)
-        Take i has the words offsets[i] to offsets[i + 1]. Takes may be empty.
+        Take i has the words offsets[i] to offsets[i + 1] - 1. Takes may be empty.
 
     Returns
     -------
@@ -88,10 +88,10 @@ def feature_runs(words: U64, offsets: I64, features: int) -> FeatureRuns:
     Parameters
     ----------
     words : uint64 array (N,)
-        Whole words of T takes, laid end to end; bit i - 1 is F_i, and bits from `features` on are ignored. No feature
-        is on in an invalid frame (`NO_WORD`).
+        The concatenated whole words of T takes; bit i - 1 is F_i, and bits from `features` on are ignored. All features
+        are off in an invalid frame (`NO_WORD`).
     offsets : int64 array (T + 1,)
-        As in `word_runs`; no take has 2**31 frames or more.
+        As in `word_runs`; takes must have fewer than 2**31 frames.
     features : int
         The number of features, 1 to 63.
 
