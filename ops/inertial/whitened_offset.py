@@ -1,12 +1,12 @@
 """This module refines a clock offset by least squares on whitened orientation errors, after the fine search.
 
-The sensor's orientation and the take's prediction differ by a small rotation r in each frame: noise n, and the
-remaining errors of the offset (δ times the sensor's angular velocity ω), of the sensor's heading and of its mount, all
-linear,
+In each frame, the sensor's orientation and the prediction from the take differ by a small rotation vector r. It is
+linear in the remaining errors of the offset (δ, times the sensor's angular velocity ω), of the sensor's heading (ψ,
+about the vertical z) and of its mount (a), plus noise n:
     r(t) = −δ ω(t) + ψ R(t)ᵀz + a + n(t).
-The noise of trackers and of skin is smooth: errors of neighbouring frames are correlated, and ordinary least squares
-mistake slow noise for a delay. An autoregressive model of n is fitted to the residuals; its innovations are white, and
-least squares on them give the best linear estimate.
+The noise of trackers and of skin is smooth. Since errors of neighbouring frames are correlated, ordinary least squares
+would mistake slow noise for a delay. Therefore an autoregressive model of n is fitted to the residuals. Its innovations
+are white, so that least squares on them give the best linear estimate.
 """
 
 from __future__ import annotations

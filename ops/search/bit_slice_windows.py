@@ -89,7 +89,10 @@ def _all_rows(coarse, stride, at, size, rows, begin, end, found):  # type: ignor
 
 @njit(cache=True, nogil=True)
 def _complete(here, later, size, widened, moved, low, high):  # type: ignore[no-untyped-def]
-    """Keep the granules of a keyframe from which one of the next keyframe can be reached; return True if any is left."""
+    """Keep the granules of a keyframe from which one of the next keyframe can be reached; return True if any is kept.
+
+    The gap between the keyframes is `low` to `high` frames.
+    """
     longest = size * BLOCK
     nearest, farthest = low // GRANULE, min((high + GRANULE - 1) // GRANULE, longest)
     if nearest >= longest:

@@ -12,7 +12,7 @@ from kinedex.ops.errors import ParameterError
 from kinedex.ops.words import ALL_KNOWN, I64, NO_WORD, U64
 
 MAX_FEATURES_FIXED = 6
-"""Maximum number of features that a proposed keyframe fixes; the others are wildcards, so that the keyframe is general."""
+"""Maximum number of features that a proposed keyframe fixes; the others are wildcards, to keep the keyframe general."""
 
 RARE_ENOUGH = 0.01
 """Share of the archive's frames at which a keyframe is rare enough to get no further features."""

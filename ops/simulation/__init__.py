@@ -1,1 +1,1 @@
-"""This package simulates recordings of motion: cameras, keypoint detections and their failures, and depth images."""
+"""This package simulates recordings of motion by cameras with keypoint detectors, and by depth cameras."""

@@ -25,7 +25,7 @@ HIT_M = 0.001
 """Distance in metres from the surface at which a ray ends."""
 
 SHADOW_M = 0.01
-"""Tolerance in metres of shadows: light that ends less than this before a point does reach it."""
+"""Tolerance in metres of shadows; a point is lit if the light is blocked less than this distance in front of it."""
 
 _NEAREST_M = 0.05
 """Depth in metres below which a cone may project anywhere in the image."""
@@ -41,7 +41,7 @@ class Clothes:
         Height w of waves in the axes of the camera, in metres: the radius grows by
         w sin(40x + φ) sin(37y + 2φ) sin(33z), with φ drawn from 0 to 6.
     folds_m, fold_length_m : float64 array (C,)
-        Height h of the folds around each cone and the distance ℓ between two of them, in metres: where a point lies a
+        Height h of the folds around each cone, and the distance ℓ between two folds, in metres. At a distance of a
         metres along the axis, the radius grows by h sin²(π a / ℓ + ψ), with ψ drawn from 0 to π for each cone.
     """
 
@@ -58,29 +58,29 @@ class Clothes:
 
 @dataclass(frozen=True, eq=False)
 class Flesh:
-    """C round cones on the joints of a body, before a person's sizes are drawn.
+    """C round cones attached to the joints of a body, before the sizes of a person are drawn.
 
-    The end e of cone c lies at Σ weights[c, e, j] · joint j + forward_m[c, e] · facing; the second end lies beyond_m[c]
-    metres on in the direction from the joint beyond[c, 0] to the joint beyond[c, 1].
+    The end e of cone c lies at Σ weights[c, e, j] · joint j + forward_m[c, e] · facing, with a sum over the joints j.
+    The second end is then moved by beyond_m[c] metres in the direction from joint beyond[c, 0] to joint beyond[c, 1].
 
     Attributes
     ----------
     weights : float64 array (C, 2, 24)
         Weights of the joints, in the order of `JOINTS`.
     forward_m : float64 array (C, 2)
-        Metres in front of these positions; negative behind them.
+        Forward shift of each end in metres; negative for a backward shift.
     beyond : int64 array (C, 2)
-        Two joints.
+        Two joints that define the direction in which the second end is moved.
     beyond_m : float64 array (C,)
-        Metres in the direction from one to the other.
+        The distance in metres by which the second end is moved in this direction.
     radii : float64 array (C, 2)
         Radii in metres of a body that stands 1.70 m high.
     kinds : int64 array (C,)
-        The kind of part of each cone; parts of a kind share a factor.
+        The kind of body part of each cone; parts of the same kind share a factor.
     factors : float64 array (K, 2)
         The smallest and the largest factor of the radii of each kind.
     clothes : Clothes
-        Bumps of the surface.
+        The bumps of the surface that model clothes.
     """
 
     weights: F64
@@ -113,7 +113,7 @@ class Surface(NamedTuple):
 
     @property
     def step(self) -> float:
-        """Return the factor of a distance by which a ray may safely advance: 0.9, and less where folds are steep."""
+        """Return the fraction of the distance by which a ray may safely advance: 0.9, or less if folds are steep."""
         steepest = float((self.folds[:, 0] * self.folds[:, 1]).max(initial=0.0))
         return 0.9 / (1.0 + steepest)
 
@@ -128,7 +128,7 @@ def draw_surface(flesh: Flesh, height_m: float, generator: np.random.Generator) 
     height_m : float
         Standing height of the person in metres.
     generator : numpy.random.Generator
-        Draws factors and phases.
+        The generator from which factors and phases are drawn.
     """
     if not 0 < height_m < np.inf:
         raise ParameterError("height_m", "above 0", height_m)
@@ -144,7 +144,8 @@ def draw_surface(flesh: Flesh, height_m: float, generator: np.random.Generator) 
 def facing(joints: F64) -> F64:
     """Return the horizontal unit vectors (…, 3) that bodies face, from joints (…, 24, 3) with Y up.
 
-    They are perpendicular to the lines from the right to the left shoulder and hip; 0 where there is no such direction.
+    They are perpendicular to the lines from the right to the left shoulder and hip. A vector is 0 if these lines are
+    vertical.
     """
     at = {name: joints[..., JOINTS.index(name), :] for name in ("lshoulder", "rshoulder", "lhip", "rhip")}
     across = (at["lshoulder"] - at["rshoulder"]) + (at["lhip"] - at["rhip"])
@@ -188,7 +189,7 @@ class ConeRays:
         self._bumps = np.array([surface.wave_m, surface.wave_phase, surface.step])
 
     def depth(self, ends: F64) -> F64:
-        """Return the depth (H, W) of cones with ends (C, 2, 3); infinite where a ray meets none."""
+        """Return the depth (H, W) of cones with ends (C, 2, 3); infinite if the ray of a pixel meets no cone."""
         width, height = self.size
         image = np.full((height, width), np.inf)
         margin = self.surface.wave_m + self.surface.folds[:, 0]
@@ -261,7 +262,7 @@ def _cone_distance(ends: F64, surface: Surface, c: int, x: float, y: float, z: f
 
 @njit(cache=True)
 def _march(ends: F64, surface: Surface, bumps: F64, listed: I64, a: float, b: float, begin: float, end: float) -> float:
-    """Return the depth where a ray meets one of the listed cones between two depths; infinity if it meets none."""
+    """Return the first depth at which a ray meets a listed cone between two depths; infinity if it meets none."""
     z = begin
     factor = bumps[2] / math.sqrt(1.0 + a * a + b * b)
     while z < end:

@@ -14,7 +14,7 @@ from kinedex.ops.simulation.depth_rays import ConeRays, Flesh, cone_ends, draw_s
 from kinedex.ops.simulation.depth_sensors import BASELINE_M, DepthSensor, ExtraErrors, measured
 
 TOES_M = 0.03
-"""Height in metres above the floor of the 5th percentile of the lower toes' height."""
+"""Height in metres above the floor at which `on_floor` puts the 5th percentile of the height of the lower toes."""
 
 EYE_M, DISTANCE_M, STEP_M, MAX_STEPS = 1.1, 3.0, 0.25, 20
 MIN_DEPTH_M, WALL_M = 0.8, 1.5
@@ -38,9 +38,9 @@ class CameraPlace:
     Attributes
     ----------
     rotation : float64 array (3, 3)
-        From the world to the camera: x_camera = rotation · (x_world − place).
+        The rotation from the world to the camera: x_camera = rotation · (x_world − place).
     place : float64 array (3,)
-        Its position in metres, Y up.
+        The position of the camera in metres, Y up.
     outside : bool array (T,)
         The frames with a joint outside the image or its border, or nearer than 0.8 m.
     """
@@ -58,7 +58,7 @@ class CameraPlace:
 def place_camera(sensor: DepthSensor, joints: F64, azimuth: float = 0.0) -> CameraPlace:
     """Place a level camera in front of a take, looking against the person's mean facing direction.
 
-    It is moved back, by at most 5 m, until every joint is inside the image.
+    The camera is moved back, by at most 5 m, until every joint is inside the image.
 
     Parameters
     ----------
@@ -115,9 +115,9 @@ class DepthScene:
     height_m : float
         Standing height of the person in metres.
     camera : CameraPlace
-        The place of the camera, see `place_camera`.
+        The position and orientation of the camera, see `place_camera`.
     generator : numpy.random.Generator
-        Draws the surface of the body and all errors.
+        The generator from which the surface of the body and all errors are drawn.
     """
 
     def __init__(

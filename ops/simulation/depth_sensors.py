@@ -12,7 +12,7 @@ from kinedex.ops.arrays import F64, U16, Bool
 from kinedex.ops.errors import ParameterError
 
 EDGE_M = 0.20
-"""Difference of depths in metres within a 3 × 3 window above which its pixel lies on an edge."""
+"""Difference of depths in metres within a 3 × 3 window above which the middle pixel counts as an edge."""
 
 BASELINE_M = 0.075
 """Distance in metres of a structured-light projector to the right of the camera."""
@@ -71,11 +71,11 @@ class ExtraErrors:
     noise : float
         Factor of the sensor's noise on the body.
     correlation : float
-        Part of the variance of the noise that a pixel shares with its 3 × 3 window, from 0 to 1.
+        Fraction of the variance of the noise that a pixel has in common with its 3 × 3 window, from 0 to 1.
     ripple_m, ripple_length_m : float
         Amplitude and wavelength of a systematic depth error that is periodic in the true depth, in metres.
     dropouts : float
-        Share of the pixels of the body where nothing is measured.
+        Fraction of the pixels of the body in which nothing is measured.
     """
 
     noise: float = 1.0
@@ -109,14 +109,14 @@ def measured(
     shadow : bool array (H, W)
         The pixels that the projector does not reach, which are holes with structured light.
     disturbance : ExtraErrors
-        Further errors.
+        Errors in addition to those of the sensor.
     generator : numpy.random.Generator
-        Draws the errors.
+        The generator from which the errors are drawn.
 
     Returns
     -------
     uint16 array (H, W)
-        Depth in millimetres; 0 where nothing was measured, or the depth does not fit 16 bits.
+        Depth in millimetres; 0 if nothing was measured, or if the depth does not fit into 16 bits.
     """
     noise = _noise(depth.shape, disturbance.correlation, generator)
     if disturbance.noise != 1.0:

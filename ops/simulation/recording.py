@@ -1,6 +1,6 @@
-"""This module simulates a recording of a take: its cameras, its keypoints, and the failures in them.
+"""This module simulates a recording of a take by cameras with a keypoint detector.
 
-The keypoints are those of a detector with systematic offsets, noise, confidence and outliers.
+The detector has systematic offsets, noise, confidences and outliers, and fails from time to time.
 """
 
 from __future__ import annotations
@@ -22,14 +22,15 @@ KINDS = ("views", "occluded", "swapped", "stuck")
 """The kinds of failures.
 
 - views: half of the cameras report nothing.
-- occluded: a limb is reported elsewhere, with little confidence, in half of the cameras or more, but not in all.
+- occluded: a limb is reported at a wrong position, with low confidence, in half of the cameras or more, but not in all.
 - swapped: left and right leg are exchanged from hip to toe, with full confidence, in half of the cameras or fewer.
-- stuck: elbow and wrist are reported on those of the other arm, in half of the cameras or more, but not in all.
+- stuck: elbow and wrist are reported at those of the other arm, in half of the cameras or more, but not in all.
 """
 
 LIMB_PX, KEYPOINT_PX, WOBBLE_PX, STUCK_PX = 70.0, 20.0, 8.0, 6.0
-"""Standard deviations per axis, in pixels: of an occluded limb in a camera, of each of its keypoints, of its keypoints
-in each frame, and of stuck keypoints in each frame."""
+"""Standard deviations of position errors per axis in pixels. The error of an occluded keypoint is the sum of an error
+of the limb in a camera, of an error of the keypoint, and of an error in each frame; the last number is the error of
+stuck keypoints in each frame."""
 
 OCCLUDED_CONFIDENCE, STUCK_CONFIDENCE = (0.25, 0.6), 0.6
 
@@ -41,9 +42,9 @@ class FailureRate:
     Attributes
     ----------
     per_second : float
-        Failures a second.
+        The number of failures per second.
     shortest_s, longest_s : float
-        Least and greatest duration in seconds.
+        The smallest and largest duration in seconds.
 
     Raises
     ------
@@ -82,7 +83,7 @@ class Limbs:
     legs: tuple[I64, I64]
 
     def named(self, limb: str) -> I64:
-        """Return the keypoints of a limb that a failure displaces: of the whole arm, or of the leg without the hip."""
+        """Return the keypoints of a limb that a failure displaces: the whole arm, or the leg without the hip."""
         side = "lr".index(limb[0])
         return self.arms[side] if limb[1:] == "arm" else self.legs[side][1:]
 
@@ -121,15 +122,15 @@ def draw_failures(
     Parameters
     ----------
     rate : FailureRate
-        Their number and length.
+        The frequency and duration of failures.
     frames : int
-        Frames of the take.
+        The number of frames of the take.
     rate_hz : float
-        Frames a second.
+        Frames per second.
     cameras : int
-        Number of cameras, V.
+        The number of cameras V.
     generator : numpy.random.Generator
-        Draws kind, limb, length, start and cameras, each uniformly.
+        The generator from which kind, limb, length, start and cameras are drawn, each uniformly.
 
     Returns
     -------
@@ -171,16 +172,16 @@ def with_failures(
     pixels : float64 array (T, V, P, 2)
         Positions in the images.
     confidence : float64 array (T, V, P)
-        Their confidence.
+        The confidence of each keypoint.
     generator : numpy.random.Generator
-        Draws the false positions of limbs.
+        The generator from which the wrong positions of limbs are drawn.
 
     Returns
     -------
     pixels : float64 array (T, V, P, 2)
         The positions with failures.
     confidence : float64 array (T, V, P)
-        Their confidence.
+        The confidence of each keypoint with failures.
     """
     moved, trusted = pixels.copy(), confidence.copy()
     for one in failures:
@@ -216,8 +217,8 @@ class Detector:
     Attributes
     ----------
     offset_m : float
-        Standard deviation per axis of a keypoint's offset from its true point, in metres; the offset is fixed in the
-        segment and constant over a take.
+        Standard deviation per axis of a keypoint's offset from its true position, in metres. The offset is constant in
+        the frame of the body segment during a take.
     noise_px : float
         Standard deviation per axis of the noise, in pixels.
     correlation : float
@@ -225,9 +226,9 @@ class Detector:
     confidence, confidence_sd : float
         Mean and standard deviation of the confidence, which is clipped to [0.5, 1].
     outliers : float
-        Share of keypoints that are outliers.
+        Fraction of keypoints that are outliers.
     outlier_px : float
-        Standard deviation per axis of their error, in pixels; their confidence is uniform in [0.3, 0.9].
+        Standard deviation per axis of the error of outliers, in pixels; their confidence is uniform in [0.3, 0.9].
 
     Raises
     ------
@@ -270,14 +271,14 @@ def detected_keypoints(detector: Detector, pixels: F64, generator: np.random.Gen
     pixels : float64 array (T, V, P, 2)
         The true positions in the images; NaN for points behind a camera.
     generator : numpy.random.Generator
-        Draws noise, outliers and confidence.
+        The generator from which noise, outliers and confidences are drawn.
 
     Returns
     -------
     pixels : float64 array (T, V, P, 2)
         The reported positions.
     confidence : float64 array (T, V, P)
-        Their confidence, above 0; `outside_hidden` sets that of keypoints outside the image to 0.
+        The confidence of each keypoint, above 0; `outside_hidden` sets it to 0 for keypoints outside the image.
     """
     shape = pixels.shape[:3]
     noise = generator.normal(0.0, 1.0, (*shape, 2))
@@ -298,9 +299,9 @@ def outside_hidden(pixels: F64, confidence: F64, size: tuple[int, int]) -> tuple
     Parameters
     ----------
     pixels : float64 array (T, V, P, 2)
-        Positions in the images; NaN where there is none.
+        Positions in the images; NaN if a keypoint has none.
     confidence : float64 array (T, V, P)
-        Their confidence.
+        The confidence of each keypoint.
     size : tuple of (int, int)
         Width and height of the images in pixels.
 
@@ -376,14 +377,14 @@ def ring_of_cameras(ring: CameraRing, roots: F64, floor_m: float, generator: np.
     floor_m : float
         Height of the floor, in metres.
     generator : numpy.random.Generator
-        Draws the direction of the first camera.
+        The generator from which the direction of the first camera is drawn.
 
     Returns
     -------
     rotations : float64 array (V, 3, 3)
-        From the world to the camera; rows point right, down and forward.
+        Rotations R from the world to each camera, whose rows point right, down and forward.
     translations : float64 array (V, 3)
-        x_camera = R · X + t, in metres.
+        Translations t in metres: x_camera = R · X + t.
     """
     middle = roots.mean(axis=0)
     radius = ring.distance_m + np.abs(roots[:, [0, 2]] - middle[[0, 2]]).max()
@@ -432,9 +433,9 @@ class SimulatedRecording:
     rotations, translations : float64 array (V, 3, 3), (V, 3)
         The cameras: x_camera = R · X + t, in metres.
     pixels : float64 array (T, V, P, 2)
-        The keypoints, 0 where one is not seen.
+        The keypoints; 0 for a keypoint that is not seen.
     confidence : float64 array (T, V, P)
-        Their confidence, 0 where one is not seen.
+        The confidence of each keypoint; 0 for a keypoint that is not seen.
     failures : tuple of Failure
         The failures.
     """
@@ -467,7 +468,7 @@ def simulated_recording(
     setup : Setup
         Cameras, errors and failures.
     body : ChainBody
-        The body of the take. Its chain is fitted to the take, and the keypoints move with its nodes.
+        The body of the take, whose chain is fitted to the take. The keypoints move with the nodes of the chain.
     positions : float64 array (J, 3, T)
         Joints of the take in metres, Y up, in the order of the chain.
     points : BodyPoints
@@ -475,9 +476,9 @@ def simulated_recording(
     limbs : Limbs
         The keypoints of limbs.
     rate_hz : float
-        Frames a second.
+        Frames per second.
     generators : sequence of numpy.random.Generator
-        Those of `take_generators`.
+        The result of `take_generators`.
 
     Returns
     -------
@@ -487,7 +488,7 @@ def simulated_recording(
     Raises
     ------
     ParameterError
-        The take has no frame, or one with a position that is not finite.
+        The take has no frame, or a position that is not finite.
     """
     if positions.shape[2] == 0 or not np.isfinite(positions).all():
         raise ParameterError("positions", "finite in all frames, of which there is one or more", positions.shape)
@@ -517,9 +518,9 @@ def keypoint_positions(body: ChainBody, positions: F64, points: BodyPoints, offs
     body : ChainBody
         The body of the take.
     positions : float64 array (J, 3, T)
-        Its joints in metres.
+        The joints of the take in metres.
     points : BodyPoints
-        P keypoints: a joint, or a position in the frame of a node.
+        P keypoints, each given by a joint or by a position in the frame of a node.
     offsets : float64 array (P, 3)
         Offset of each keypoint in the frame of its node, in metres.
 

@@ -89,9 +89,9 @@ _GROUPS = {
 }
 
 BALL_HEIGHT = 0.028
-"""Height in metres of the ball of a flat foot above the floor."""
+"""Height in metres above the floor of the ball of a foot that stands flat."""
 FOOT_SLOPE = math.radians(37.0)
-"""Slope in radians of the foot bone, from ankle to ball, of a flat foot."""
+"""Slope in radians of the foot bone, from ankle to ball, of a foot that stands flat."""
 
 _NAMES = ("al", "bo", "cy", "di", "ed", "fi", "gu", "ha", "io", "jo", "ka", "lu", "mo", "ny", "ov", "pa")
 
@@ -119,7 +119,7 @@ class Body:
         return next(bone for bone in self.bones if bone.name == name)
 
     def length(self, *names: str) -> float:
-        """Return the summed length of these bones, metres."""
+        """Return the total length of the given bones in metres."""
         return sum(self.bone(name).length for name in names)
 
     @property
@@ -129,12 +129,12 @@ class Body:
 
     @property
     def ankle_height(self) -> float:
-        """Return the height of the ankle of a flat foot above the floor, metres."""
+        """Return the height in metres of the ankle above the floor if the foot stands flat."""
         return BALL_HEIGHT + math.sin(FOOT_SLOPE) * self.bone("lfoot").length
 
     @property
     def standing_root_height(self) -> float:
-        """Return the height of the root above the floor with straight legs, metres."""
+        """Return the height in metres of the root above the floor with straight legs."""
         hip = self.bone("lhipjoint")
         return self.leg + self.ankle_height - hip.direction[1] * hip.length
 
@@ -179,11 +179,11 @@ def build_body(scale: dict[str, float], *, splay: float = 20.0, palm: float = 30
     Parameters
     ----------
     scale : dict[str, float]
-        Factor on the limb lengths of each group: leg, foot, spine, arm, shoulder, hip.
+        Factor of the limb lengths of each group: leg, foot, spine, arm, shoulder, hip.
     splay : float
-        Spread of the legs in the rest position, degrees.
+        Spread of the legs in the rest position, in degrees.
     palm : float
-        Rotation of the elbow's axis in the rest position, degrees.
+        Rotation of the elbow's axis in the rest position, in degrees.
     asymmetry : float
         Relative difference in length between the left and the right limbs.
 
@@ -217,27 +217,27 @@ class Actor:
     Attributes
     ----------
     tempo, range : float
-        Factors on speed and size of every motion.
+        Factors of the speed and the size of every motion.
     unsteady : float
-        Relative standard deviation of both between repetitions.
+        Relative standard deviation of speed and size between repetitions.
     loose : float
         Standard deviation in seconds of the timing of a hand, the trunk or the head.
     careless : float
-        Standard deviation of the targets of hands, in arm lengths.
+        Standard deviation of the target positions of hands, in arm lengths.
     manner : float
-        Factor on the variation of a motion between repetitions.
+        Factor of the variation of a motion between repetitions.
     restless : float
-        Factor on sway, fidgeting and noise.
+        Factor of sway, fidgeting and noise.
     swing : float
-        Factor on the swing of the arms.
+        Factor of the swing of the arms.
     hang_out, hang_down, hang_ahead : float
-        Position of the hanging hands.
+        Position of the hanging hands relative to the shoulders: outwards, down and forwards.
     stoop, lean, nod : float
-        Trunk and head in standing, degrees.
+        Angles of trunk and head in standing, in degrees.
     stance, toes_out : float
-        The feet in standing.
+        Distance and outward rotation of the feet in standing.
     over_toes : float
-        Distance of the pelvis ahead of the balls of the feet.
+        Distance of the pelvis in front of the balls of the feet.
     """
 
     name: str
@@ -267,7 +267,7 @@ class Actor:
         return float(rng.uniform(low, high))
 
     def likes(self, what: str, *choices: str, steady: float, rng: np.random.Generator) -> str:
-        """Return one of several ways to do something, with probability `steady` the actor's usual one."""
+        """Return one of several ways to perform a motion: with probability `steady` the usual way of this actor."""
         usual = choices[int(self.habit(what, 0.0, len(choices) - 1e-9))]
         return usual if rng.random() < steady else choices[int(rng.integers(len(choices)))]
 

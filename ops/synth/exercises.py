@@ -178,7 +178,7 @@ def arm_circles(score: Score, times: int) -> list[float]:
 
 
 def _straddle(score: Score, width: float, span: float) -> None:
-    """Add the keyframes of two steps that put the feet apart to a straddle of the given width."""
+    """Add the keyframes of two steps that move the feet apart to a straddle of the given width."""
     for side, sign, begin, end in (("l", 1.0, 0.0, 0.6), ("r", -1.0, 0.45, 1.0)):
         score.step(
             side, begin * span, end * span, (sign * width, score.about(0.0, 0.02)), lift=0.05, heel=10.0, strike=0.0

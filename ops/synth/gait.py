@@ -68,12 +68,12 @@ JOG = Gait(
 
 
 def go(score: Score, gait: Gait, first: str, steps: int, curve: float = 0.0) -> list[float]:
-    """Add the keyframes of some steps of a gait, and standing still at the end.
+    """Add the keyframes of several steps of a gait, which end in standing still.
 
     Parameters
     ----------
     score : Score
-        The score that is written; its `now` advances to the end.
+        The score to write to; its `now` advances to the end of the motion.
     gait : Gait
         The parameters of the gait.
     first : str
@@ -81,12 +81,12 @@ def go(score: Score, gait: Gait, first: str, steps: int, curve: float = 0.0) -> 
     steps : int
         Number of steps.
     curve : float
-        Change of direction per step, degrees, to the left.
+        Change of direction per step in degrees, positive to the left.
 
     Returns
     -------
     list of float
-        The times at which a step begins, and the end, seconds.
+        The times in seconds at which a step begins, and the end of the last step.
     """
     score.begin(f"gait{gait.seconds}")
     times = [score.now]
@@ -123,7 +123,7 @@ def _stride(
     ahead: float,
     sink: float,
 ) -> None:
-    """Add the keyframes of one step: the swinging foot, the pelvis over the standing foot, opposite arms and trunk."""
+    """Add the keyframes of one step: the swinging foot, the pelvis over the standing foot, and opposite arms and trunk."""
     outwards = 1.0 if side == "l" else -1.0
     sine, cosine = math.sin(math.radians(heading)), math.cos(math.radians(heading))
     narrow = gait.narrow * outwards
@@ -198,7 +198,7 @@ def turn(score: Score, degrees: float, seconds: float = 0.46, arms: tuple[float,
     Parameters
     ----------
     seconds : float
-        Duration of a step, seconds.
+        Duration of a step in seconds.
     arms : tuple[float, float, float] or None
         Position at which the hands are held; None for hanging hands.
     """
@@ -220,7 +220,7 @@ def turn(score: Score, degrees: float, seconds: float = 0.46, arms: tuple[float,
 def _turning_step(
     score: Score, side: str, span: float, goal: float, over: float, lead: float, arms: tuple[float, float, float] | None
 ) -> None:
-    """Add the keyframes of a step: a foot put down in direction `goal`, the pelvis turned to `over`, the head first."""
+    """Add the keyframes of a step that sets a foot in direction `goal`, and turns the head and the pelvis."""
     actor = score.actor
     sign = 1.0 if side == "l" else -1.0
     angle, turned = math.radians(goal), math.radians(over)

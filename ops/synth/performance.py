@@ -1,6 +1,6 @@
-"""This module generates performances, a clip or a long take of one actor, as the angle table of an AMC file.
+"""This module generates performances, which are clips or long takes of one actor, as angle tables of AMC files.
 
-Coloured noise gives it body sway, and the errors of a capture system.
+Coloured noise adds the sway of a body and the errors of a capture system.
 """
 
 from __future__ import annotations
@@ -35,25 +35,26 @@ _SWAY = {
 RATE_HZ = 120.0
 
 UNASKED = 0.02
-"""Share of a long take with unlabelled filler motions between the labelled ones."""
+"""Fraction of a long take that consists of unlabelled filler motions between the labelled motions."""
 HURRY = (0.10, 0.30)
-"""Range in seconds by which the next motion begins before the last one has come to rest."""
+"""Range in seconds of the time by which a motion begins before the previous motion has come to rest."""
 INTERRUPTED = 0.6
-"""Share of clips that begin out of another movement instead of standing."""
+"""Fraction of clips that begin during another movement instead of in standing."""
 
 
 @dataclass(frozen=True)
 class Motion:
-    """A motion subclass, with the functions that write it as an example clip and within a long take.
+    """A motion subclass, with functions that perform it in an example clip and in a long take.
 
     Attributes
     ----------
     label : str
-        The class it belongs to.
+        The class to which the motion belongs.
     seconds : float
-        Average duration of an example.
+        Mean duration of an example in seconds.
     example, scene : Callable[[Score], Span]
-        Functions that write the motion and return begin and end of the label, in seconds.
+        Functions that write the motion to a score, in a clip and in a take, and return the start and the end of the
+        labelled part in seconds.
     before, after : str
         Posture at the start and at the end: "stand", "sit" or "lie".
     """
@@ -79,7 +80,7 @@ def _once(write: Callable[[Score], None]) -> Callable[[Score], Span]:
 
 
 def _some_of(write: Callable[[Score, int], list[float]], times: int) -> Callable[[Score], Span]:
-    """Return a function that performs a motion with extra repetitions and returns the range of `times` of them."""
+    """Return a function that performs a motion repeatedly and returns the time range of `times` of its repetitions."""
 
     def perform(score: Score) -> Span:
         before, behind = (int(value) for value in score.rng.integers(0, 2, size=2))
@@ -101,7 +102,7 @@ def _all_of(write: Callable[[Score, int], list[float]], least: int, most: int) -
 
 
 def _cut_from_gait(style: gait.Gait, first: str, steps: int) -> Callable[[Score], Span]:
-    """Return a function that performs a gait and returns the range of `steps` steps that begin with foot `first`."""
+    """Return a function that performs a gait and returns the time range of `steps` steps, the first with foot `first`."""
 
     def perform(score: Score) -> Span:
         lead = int(score.rng.integers(2, 4))
@@ -182,7 +183,7 @@ MOTIONS: tuple[Motion, ...] = (
 def coloured(
     rng: np.random.Generator, frames: int, columns: int, rate_hz: float, corner_hz: float, slope: float
 ) -> F64:
-    """Draw noise of unit variance whose spectrum is flat up to a corner frequency and falls by a power law above it.
+    """Draw noise of unit variance whose spectrum is flat below a corner frequency and falls by a power law above it.
 
     Returns
     -------
@@ -250,7 +251,7 @@ def motion_named(name: str) -> Motion:
 
 
 def perform_clip(actor: Actor, name: str, number: int, seed: int) -> Performance:
-    """Generate a clip of one motion, cut out as an editor would.
+    """Generate a clip of one motion, which begins and ends as an editor would cut it.
 
     Parameters
     ----------
@@ -290,7 +291,7 @@ def perform_take(actor: Actor, seconds: float, number: int, seed: int) -> Perfor
     actor : Actor
         The performer.
     seconds : float
-        Shortest duration, seconds.
+        The minimum duration in seconds.
     number : int
         Number of the take.
     seed : int
@@ -311,7 +312,7 @@ def perform_take(actor: Actor, seconds: float, number: int, seed: int) -> Perfor
     spans: list[tuple[Motion, float, float]] = []
     while score.now < seconds:
         if not pool:
-            # Every motion is performed once, in random order, before any is repeated.
+            # Every motion is performed once, in random order, before a motion is repeated.
             pool = [MOTIONS[i] for i in rng.permutation(len(MOTIONS)) if MOTIONS[i].before == "stand"]
         if unasked < UNASKED * score.now:
             unasked += _pause(score)
@@ -370,7 +371,7 @@ def _captured(score: Score, rng: np.random.Generator) -> F64:
 
 
 def _as_cut(rng: np.random.Generator, begin: float, end: float, frames: int) -> tuple[int, int]:
-    """Return the frames that an editor would cut out from begin to end, slightly early or late at random."""
+    """Return the frames of a time range as an editor would cut them, randomly a little too early or too late."""
     start = round((begin + float(rng.normal(0.0, 0.05))) * RATE_HZ)
     stop = round((end + float(rng.normal(0.0, 0.06))) * RATE_HZ)
     start = min(max(start, 0), frames - 1)

@@ -1,7 +1,8 @@
-"""A score describes a performance by keyframes on channels, which are evaluated to smooth curves.
+"""This module defines scores, which describe a performance by keyframes on channels, and evaluates smooth curves.
 
-The channels are those of pelvis, feet, spine, head and hands, not joint angles. Lengths of pelvis and feet are in leg
-lengths of the actor, those of the hands in arm lengths, angles in degrees, so that one motion fits every body.
+The channels describe the pelvis, the feet, the spine, the head and the hands, not joint angles. Lengths of pelvis and
+feet are in leg lengths of the actor, lengths of the hands in arm lengths, and angles in degrees, so that a motion can
+be performed by every body.
 
 - px py pz: the pelvis in the world; py is relative to upright standing. yaw (left is positive), pitch (forwards), roll
 (to
@@ -60,9 +61,9 @@ _OFF = {
 class Score:
     """The keys of one performance on all channels, which motions append in order of time.
 
-    `now` is the time in seconds at which the next motion begins. Motions are written relative to an anchor, the
-    midpoint between the feet and their direction when the motion begins, so each motion continues where the last one
-    ended.
+    `now` is the time in seconds at which the next motion begins. Motions are written relative to an anchor, which is
+    the midpoint between the feet and their direction when the motion begins. Each motion therefore continues where the
+    previous motion ended.
     """
 
     def __init__(self, actor: Actor, rng: np.random.Generator) -> None:
@@ -87,7 +88,7 @@ class Score:
         Parameters
         ----------
         what : str
-            The motion's name; part of the variation is constant for an actor and motion.
+            The name of the motion; a part of the variation is always the same for an actor and a motion.
         """
         self.anchor = self.standing()
         actor = self.actor
@@ -231,7 +232,7 @@ class Score:
             self.hand(side, start, stop, x, y, z, **others)
 
     def stand(self, start: float, stop: float, *parts: str) -> None:
-        """Move back to upright standing over the feet."""
+        """Move the given parts, or all of the body, back to upright standing over the feet."""
         x, z, yaw = self.standing()
         s, c = math.sin(math.radians(yaw)), math.cos(math.radians(yaw))
         over = self.actor.over_toes
@@ -260,7 +261,7 @@ def curves(score: Score, rate_hz: float, stop: float) -> F64:
     rate_hz : float
         Frames per second.
     stop : float
-        End of the performance, seconds.
+        End of the performance in seconds.
 
     Returns
     -------

@@ -119,8 +119,8 @@ def solve(body: Body, channels: F64) -> F64:
     Returns
     -------
     float64 array (T, n)
-        One column per root value and degree of freedom, in the order of `columns`: root position in metres, angles in
-        degrees.
+        The angle table, with one column per root value and degree of freedom, in the order of `columns`. The root
+        position is in metres, and angles are in degrees.
     """
     pose = _Pose(body, channels)
     root = pose.point("px", "py", "pz") * body.leg
@@ -160,7 +160,7 @@ def _ankle(pose: _Pose, side: str) -> F64:
 
 
 def _sink(body: Body, pose: _Pose, root: F64, turned: F64) -> F64:
-    """Return the displacement of the pelvis that keeps feet on the floor within reach, in metres (T,)."""
+    """Return the displacement (T,) in metres by which the pelvis must be lowered so that the legs reach the floor."""
     sink = np.zeros(len(root))
     for side in "lr":
         hip = root + apply(turned, _hip_offset(body, side))
@@ -174,7 +174,7 @@ def _sink(body: Body, pose: _Pose, root: F64, turned: F64) -> F64:
 
 
 def _calm(values: F64) -> F64:
-    """Smooth an envelope such that it stays above its values."""
+    """Return a smooth curve that is nowhere below the given values."""
     width = 6
     padded = np.pad(values, width, mode="edge")
     highest = np.lib.stride_tricks.sliding_window_view(padded, 2 * width + 1).max(axis=1)
@@ -191,8 +191,8 @@ def _averaged(values: F64, width: int) -> F64:
 def _two_bones(pose: _Pose, upper: str, lower: float, goal: F64, bend_towards: F64) -> tuple[F64, F64, F64]:
     """Solve a chain of two bones: the upper bone's direction (T, 3), the hinge's axis (T, 3), and the flexion (T,).
 
-    `lower` is the length of the second bone, `goal` the vector from the first joint to the end of the chain, and the
-    joint between the bones bends towards `bend_towards`.
+    `lower` is the length of the second bone, and `goal` is the vector from the first joint to the end of the chain. The
+    joint between the bones bends towards the direction `bend_towards`.
     """
     length = pose.body.bone(upper).length
     distance = np.sqrt((goal * goal).sum(axis=1))

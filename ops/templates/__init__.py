@@ -1,1 +1,1 @@
-"""This package learns motion templates by warping and averaging, and mirrors, joins and compares them."""
+"""This package learns motion templates by warping and averaging clips, and mirrors, joins and compares templates."""

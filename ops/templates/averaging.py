@@ -1,4 +1,4 @@
-"""This module does one round of template learning: templates are warped onto each other, averaged and rebalanced."""
+"""This module performs one round of template learning: warping templates onto each other, averaging, rebalancing."""
 
 from __future__ import annotations
 
@@ -28,12 +28,12 @@ _LIGHT = 0.75 - TOLERANCE
 
 @dataclass(frozen=True)
 class Soft:
-    """The operations of soft templates: columns are float64 (N, f), the weighted fraction of clips with the feature on.
+    """The operations of soft templates, whose columns, float64 (N, f), are weighted fractions of clips.
 
     Parameters
     ----------
     feature_weights : float64 array (f,)
-        Not negative; the local cost is the weighted mean over features of |x − y|.
+        Weights that are not negative; the local cost is the weighted mean over features of |x − y|.
     """
 
     feature_weights: F64
@@ -75,9 +75,9 @@ class Soft:
         paths : Paths
             The warping paths of the pairs.
         pair_of : int64 array (n,)
-            The pair that each other template makes with the reference.
+            For each other template, the index of its pair with the reference.
         stands_for : int
-            The number of clips that the reference stands for.
+            The number of clips that the reference represents.
         """
         first, last = stack.offsets[reference], stack.offsets[reference + 1]
         weights = stack.weights[first:last] * stands_for
@@ -99,10 +99,10 @@ class Soft:
 
 @dataclass(frozen=True)
 class Hard:
-    """The operations of hard templates: columns are uint64 (N, 2), the bits that are always 1, and always 0.
+    """The operations of hard templates, whose columns are uint64 (N, 2): bits that are always 1, and bits always 0.
 
-    The agreement of columns is then their bitwise and, in any number and order. A feature of weight 0 is ignored in
-    costs; other weights are not used, since they would not change which costs are 0.
+    The agreement of any number of columns is their bitwise AND. Features of weight 0 are ignored in costs. Other
+    weights are not used, since they would not change which costs are 0.
 
     Parameters
     ----------
@@ -118,7 +118,7 @@ class Hard:
         return np.stack([words, ~words & every], axis=1)
 
     def align(self, stack: Stack, pairs: I64, shares: bool = False) -> Paths:
-        """Warp pairs of templates, int64 (P, 2), onto each other; costs are counts of contradictions, or shares."""
+        """Warp pairs of templates, int64 (P, 2), onto each other; costs are numbers of contradictions, or fractions."""
         counted = np.bitwise_or.reduce(
             (self.feature_weights > 0).astype(np.uint64) << np.arange(len(self.feature_weights), dtype=np.uint64)
         )
@@ -160,13 +160,13 @@ def average_all(method: Method, stack: Stack, paths: Paths, pairs: I64, referenc
     method : Method
         The rule by which aligned columns are averaged.
     stack : Stack
-        The templates of the round before.
+        The templates of the previous round.
     paths : Paths
         The warping paths of the pairs.
     pairs : int64 array (P, 2)
-        The pairs of each reference with all others, the first place before the second.
+        The pairs of each reference with all other templates, as indices in ascending order.
     references : int64 array (R,)
-        The places of the references.
+        The indices of the references.
 
     Returns
     -------
@@ -182,8 +182,9 @@ def average_all(method: Method, stack: Stack, paths: Paths, pairs: I64, referenc
 def rebalance(template: Weighted, merge: Callable[[Array, Array, float, float], Array]) -> Weighted:
     """Restore column weights to about 1 by expanding, contracting, and expanding (diploma thesis, Eq. 3.5).
 
-    A column of weight w ≥ 1.5 becomes round(w) columns of weight w / round(w), rounding half to even. Then, from the
-    left, each column lighter than 0.75 is merged with its lighter neighbour (ties: the left one).
+    A column of weight w ≥ 1.5 is replaced by round(w) columns of weight w / round(w), with halves rounded to even.
+    Then, from the left, each column of weight below 0.75 is merged with its neighbour of lower weight, or with the left
+    neighbour if both weigh the same.
 
     Parameters
     ----------
@@ -235,9 +236,9 @@ def add_others(
     total: F64 | None, agreed: U64 | None, weights: F64, columns: Array, column_weights: F64, offsets: I64,
     reference: int, steps: U8, starts: I64, counts: I64, pair_of: I64,
 ) -> None:  # fmt: skip
-    """Add all other templates, warped, to a soft reference's weighted sums or a hard one's agreement (kernel).
+    """Add all other templates, warped, to the sums of a soft or to the agreement of a hard reference (kernel).
 
-    It updates `total` or `agreed` (the other one is None), and `weights`, in the order of the templates.
+    The kernel updates `total` for soft or `agreed` for hard templates (the other argument is None), and `weights`.
     """
     for other in range(len(offsets) - 1):
         if other == reference:

@@ -1,6 +1,6 @@
-"""This module derives templates from templates: mirrored, joined, restricted to known features, or contrasted.
+"""This module mirrors, joins, restricts and contrasts templates.
 
-It also weights features by how they distinguish accepted examples from rejected intervals.
+It also computes feature weights that distinguish accepted examples from rejected intervals.
 """
 
 from __future__ import annotations
@@ -27,11 +27,12 @@ class Contrast:
     Parameters
     ----------
     path : int64 array (P, 2)
-        The columns of the first and the second that are aligned.
+        Pairs of aligned columns of the first and the second template.
     against : int8 array (P, f)
-        1 where the first is on and the second off, −1 for the reverse, 0 where they do not contradict each other.
+        1 if a feature is on in the first template and off in the second, −1 for the reverse, and 0 if the entries do
+        not contradict each other.
     compared : bool array (P, f)
-        True where neither has a wildcard.
+        True if neither entry is a wildcard.
     """
 
     path: I64
@@ -45,14 +46,14 @@ def mirrored(template: Template, order: I64) -> Template:
     Parameters
     ----------
     template : Template
-        f features.
+        A template with f features.
     order : int64 array (f,)
-        A permutation of 0 … f − 1: the twin of each feature (`FeatureSet.mirror_order`).
+        A permutation of 0 … f − 1 that gives the mirror image of each feature (`FeatureSet.mirror_order`).
 
     Raises
     ------
     ParameterError
-        If the order is no permutation.
+        If the order is not a permutation.
     """
     if not np.array_equal(np.sort(order), np.arange(template.values.shape[1])):
         raise ParameterError(
@@ -84,7 +85,7 @@ def adjusted(template: Template, factors: F64, first: int, stop: int) -> Templat
     Raises
     ------
     ParameterError
-        If no column is left, a factor is negative or not finite, or no feature is left that counts.
+        If no column is left, a factor is negative or not finite, or all features have the weight 0.
 
     Examples
     --------
@@ -108,13 +109,13 @@ def adjusted(template: Template, factors: F64, first: int, stop: int) -> Templat
 def joined(templates: Sequence[Template], gap: int) -> Template:
     """Join templates one after the other, with columns of wildcards between two of them (thesis, Figure 3.11 b).
 
-    A path may pass through a column at half or twice the speed, so the gap matches about gap / 2 to 2 gap arbitrary
+    A path may pass through columns at half or twice the speed, so the wildcards match about gap / 2 to 2 gap arbitrary
     frames.
 
     Parameters
     ----------
     templates : sequence of Template
-        One or more, of the same features; the first one's feature weights hold for all.
+        One or more templates of the same features; the feature weights of the first template are used for all.
     gap : int
         The number of wildcard columns between two templates, 0 or more.
 
@@ -141,7 +142,7 @@ def joined(templates: Sequence[Template], gap: int) -> Template:
 def consistency(template: Template) -> F64:
     """Return the agreement of the clips on each feature, from 0 (half of them on) to 1 (all equal).
 
-    It is the mean of |2 v − 1| over the columns, weighted by the columns' weights.
+    The agreement is the mean of |2 v − 1| over the columns, weighted by the columns' weights.
 
     Returns
     -------
@@ -158,9 +159,9 @@ def contrast(first: Template, second: Template, delta: float) -> Contrast:
     Parameters
     ----------
     first, second : Template
-        Of the same features.
+        Two templates of the same features.
     delta : float
-        Values within δ of 0 or 1 are fixed, as in `quantise`; the rest contradicts nothing.
+        Values within δ of 0 or 1 are fixed, as in `quantise`; other values contradict nothing.
 
     Raises
     ------
@@ -182,8 +183,8 @@ def contrast(first: Template, second: Template, delta: float) -> Contrast:
 def restricted_template(template: QuantisedTemplate, known: int) -> QuantisedTemplate | None:
     """Return a template for takes in which only some features are known.
 
-    Entries on unknown features become wildcards, so that a column's cost is the share of its known entries that a word
-    contradicts.
+    Entries of unknown features become wildcards, so that a column's cost is the fraction of its known entries that a
+    word contradicts.
 
     Parameters
     ----------
@@ -195,7 +196,7 @@ def restricted_template(template: QuantisedTemplate, known: int) -> QuantisedTem
     Returns
     -------
     QuantisedTemplate or None
-        The template itself where all features that it fixes are known; None where too few are.
+        The template itself if all features that it fixes are known; None if too few of them are known.
     """
     mask = template.mask & np.uint64(known)
     if (mask == template.mask).all():
@@ -211,7 +212,7 @@ def without_unknown(template: Template, known: int) -> Template:
     Parameters
     ----------
     template : Template
-        The template as learned, in which unknown features have the 0 of the clips' words.
+        The template as learned from the words of the clips, in which unknown features are 0.
     known : int
         The mask of the known features, with the bits of a word.
     """
@@ -239,7 +240,7 @@ def contradicted_shares(template: Template, clips: Sequence[U64], delta: float) 
     Returns
     -------
     float64 array (C, f)
-        The share of the fixed entries of a feature, along the path, that the clip contradicts; 0 where none is fixed.
+        The fraction of the fixed entries of a feature, along the path, that the clip contradicts; 0 if none is fixed.
     """
     features = template.values.shape[1]
     fixed = quantise(template, delta).values(features)
@@ -261,12 +262,13 @@ def contradicted_shares(template: Template, clips: Sequence[U64], delta: float) 
 def contrast_weights(template: Template, accepted: Sequence[U64], rejected: Sequence[U64], delta: float) -> F64:
     """Return feature weights that distinguish accepted examples from rejected intervals.
 
-    For each feature, the rates of contradiction by accepted and by rejected clips are compared. Each clip counts once,
-    by the share of the feature's entries that it contradicts, and half a clip of either kind is added for smoothing, so
-    that few clips have little effect. Where rejected clips contradict a feature more often, its weight is 1 plus the
-    logarithm of the ratio of the odds: if features contradicted independently, costs would then differ by the logarithm
-    of the likelihood ratio, which separates the two best. All other features keep the weight 1: they distinguish the
-    motion from the rest of an archive, which rejected intervals, all of them similar to the motion, do not represent.
+    For each feature, the rates at which accepted and rejected clips contradict the template are compared. The rate is a
+    mean over clips of the fraction of the feature's entries that a clip contradicts. Half a clip of either kind is
+    added for smoothing, so that few clips have little effect. If rejected clips contradict a feature more often, its
+    weight is 1 plus the logarithm of the ratio of the odds. If contradictions of features were independent, costs would
+    then differ by the logarithm of the likelihood ratio, which separates accepted from rejected clips best. All other
+    features keep the weight 1. They distinguish the motion from other motions of an archive, which rejected intervals
+    do not represent, since all of them are similar to the motion.
 
     Parameters
     ----------
@@ -280,7 +282,7 @@ def contrast_weights(template: Template, accepted: Sequence[U64], rejected: Sequ
     Returns
     -------
     float64 array (f,)
-        The weights, all 1 without accepted or without rejected clips.
+        The weights; all are 1 if there are no accepted or no rejected clips.
     """
     if not len(accepted) or not len(rejected):
         return np.ones(template.values.shape[1])

@@ -1,4 +1,4 @@
-"""This module finds the example clip that resembles an interval most, with the matching frames of the clip."""
+"""This module finds the example clip that is most similar to an interval, and the frames of the clip that match."""
 
 from __future__ import annotations
 
@@ -26,13 +26,13 @@ class NearestClip:
     Parameters
     ----------
     clip : int
-        Its index.
+        The index of the clip.
     cost : float
-        Its smallest distance within the interval, as of a template without wildcards; ∞ where the interval is shorter
-        than half of every clip.
+        The smallest distance within the interval of the clip, taken as a template without wildcards; ∞ if the interval
+        is shorter than half of every clip.
     frames : int64 array (L,)
-        For each frame of the interval the frame of the clip on the warping path. A clip that matches several times in a
-        row is repeated; frames without a match get its first or last frame.
+        For each frame of the interval the frame of the clip on the warping path. If the clip matches several times in a
+        row, its frames are repeated. Frames of the interval without a match get the first or last frame of the clip.
     """
 
     clip: int
@@ -55,7 +55,7 @@ def nearest_clips(clips: Sequence[U64], intervals: Sequence[U64], features: int)
     Returns
     -------
     list of NearestClip
-        One for each interval; of equally near clips the first.
+        The nearest clip of each interval; of equally near clips the first.
 
     Raises
     ------
@@ -137,7 +137,7 @@ def word_differences(clip: U64, interval: U64, features: int) -> F64:
     Returns
     -------
     float64 array (K, L)
-        From 0 to 1; 1 where a frame is invalid.
+        Fractions from 0 to 1; 1 if a frame is invalid.
     """
     differing = np.bitwise_count((clip[:, None] ^ interval[None, :]) & np.uint64((1 << features) - 1)) / features
     invalid = (clip == NO_WORD)[:, None] | (interval == NO_WORD)[None, :]

@@ -1,6 +1,6 @@
 """This module learns motion templates from the clips of a class by warping and averaging (thesis, Section 2.3).
 
-The clips of a large class are drawn evenly over actors and lengths.
+For a large class, only a subset of its clips is averaged fully, which is drawn evenly over actors and lengths.
 """
 
 from __future__ import annotations
@@ -24,12 +24,12 @@ MAX_ROUNDS = 10
 CONVERGED = 0.005
 
 MAX_AVERAGED = 80
-"""Maximum number of clips that are averaged, drawn evenly over actors and lengths; the other clips of a class are added
-last.
+"""Maximum number of clips that are averaged in rounds, drawn evenly over actors and lengths; the other clips of a class
+are averaged with the result at the end.
 """
 
 REFERENCES = 8
-"""Number of references among the drawn clips of a class with more than `MAX_AVERAGED` clips; otherwise all are."""
+"""Number of references of a class with more than `MAX_AVERAGED` clips; in smaller classes all clips are references."""
 
 
 @dataclass(frozen=True)
@@ -39,11 +39,11 @@ class Template:
     Parameters
     ----------
     values : float64 array (N, f)
-        In [0, 1]; column i − 1 of the matrix is F_i.
+        Values in [0, 1]; column i − 1 of the matrix is F_i.
     weights : float64 array (N,)
         The weight of each column, about 1.
     feature_weights : float64 array (f,), optional
-        The weight of each feature in a comparison; None: all equal.
+        The weight of each feature in a comparison; None if all weights are equal.
     """
 
     values: F64
@@ -55,7 +55,7 @@ class Template:
 
     @property
     def unknown(self) -> Bool:
-        """Return a mask (f,) of the features that no clip showed: they have weight 0, and wildcards in all columns."""
+        """Return a mask (f,) of the features unknown in all clips, which have weight 0 and wildcards in all columns."""
         if self.feature_weights is None:
             return np.zeros(self.values.shape[1], np.bool_)
         unknown: Bool = (self.feature_weights == 0) & (self.values == 0.5).all(axis=0)
@@ -80,9 +80,10 @@ class QuantisedTemplate:
     mask : uint64 array (N,)
         The bits that are fixed, for each column.
     value : uint64 array (N,)
-        Their values; no bit is set outside the mask.
+        The values of the fixed bits; no bit is set outside the mask.
     feature_weights : float64 array (f,), optional
-        The weight of each feature in a distance curve, above 0 wherever the mask has its bit; None: all equal.
+        The weight of each feature in a distance curve, above 0 for every feature that is fixed in a column; None if all
+        weights are equal.
     """
 
     mask: U64
@@ -127,10 +128,10 @@ class LearnedTemplate:
         The number of rounds of averaging.
     costs : tuple of float
         The largest DTW cost between two templates, divided by the reference's total weight, before each round and after
-        the last: rounds + 1 numbers (a single 0 for one clip).
+        the last round; these are rounds + 1 numbers, or a single 0 if there is only one clip.
     clip_costs : tuple of float
-        For each clip the median of its DTW costs to the others, or to the references among them, before the first
-        round, relative to the number of entries compared along the path (0 for one clip).
+        For each clip the median of its DTW costs to the other clips, or to the references, before the first round,
+        relative to the number of entries compared along the path; 0 if there is only one clip.
     """
 
     template: Template
@@ -170,13 +171,13 @@ def learn_soft(clips: Sequence[U64], features: int) -> LearnedTemplate:
 
     Returns
     -------
-    Learned
-        With one clip the template is that clip.
+    LearnedTemplate
+        The template; if there is only one clip, its values are those of the clip.
 
     Raises
     ------
     ParameterError
-        If there are no clips, or one is empty, has invalid frames, or bits beyond the features.
+        If there are no clips, or a clip is empty, has invalid frames, or has bits beyond the features.
     """
     return learn("soft", clips, features)
 
@@ -193,12 +194,13 @@ def learn(
     """Learn a soft or hard motion template, with the alignments of each round divided among workers.
 
     Soft templates are those of `learn_soft`. Hard templates (diploma thesis, Section 3.3.1, Eq. 3.1 to 3.6) have the
-    values 0, 0.5 (a wildcard) and 1; the local cost counts the contradictions. The classical DTW cost between a hard
-    template and every one of its clips is 0 (Claim 3.1 in Section 3.3.2 there).
+    values 0, 0.5 (a wildcard) and 1, and the local cost is the number of contradictions. The classical DTW cost between
+    a hard template and each of its clips is 0 (diploma thesis, Claim 3.1 in Section 3.3.2).
 
-    The work grows quadratically with the number of clips up to `MAX_AVERAGED`, and linearly beyond. Beyond it, that
-    many clips are drawn, and only `REFERENCES` of them are references in the first round; the later rounds are those of
-    a small class. Each clip that was not drawn is warped to the result once and averaged with the weight of one clip.
+    The work grows quadratically with the number of clips up to `MAX_AVERAGED`, and linearly beyond. From a larger
+    class, `MAX_AVERAGED` clips are drawn, of which `REFERENCES` are references in the first round; the later rounds are
+    those of a small class. Finally, each clip that was not drawn is warped to the result once and averaged with the
+    result, with the weight of one clip.
 
     Parameters
     ----------
@@ -209,9 +211,9 @@ def learn(
     features : int
         The number of features f, 1 to 63.
     feature_weights : float64 array (f,), optional
-        Not negative and not all 0; None: all features count alike. The soft cost is the weighted mean over the
-        features; the hard cost ignores features of weight 0. The values of features are learned independently of their
-        weights.
+        Weights that are not negative and not all 0; None if all weights are equal. The local cost of soft templates is
+        the weighted mean over the features; that of hard templates ignores features of weight 0. Weights only affect
+        the alignment, not the averaging of values.
     spread : callable
         The function that applies a function to all pieces of a round, see `Spread`.
     pieces : int
@@ -221,12 +223,12 @@ def learn(
 
     Returns
     -------
-    Learned
+    LearnedTemplate
 
     Raises
     ------
     ParameterError
-        As in `learn_soft`, and for weights that are not as described.
+        As in `learn_soft`, or if the weights are invalid.
     """
     _validate(clips, features)
     counts = _checked_weights(feature_weights, features)
@@ -273,7 +275,7 @@ def _average(
             clip_costs = _medians(paths.costs / totals[pairs].mean(axis=1) / compared, pairs, references, len(stack))
         costs.append(largest)
         rounds = len(costs) - 1
-        # The first round is always done: otherwise, for equal costs, the first clip would be the template of the class.
+        # The first round is always performed; otherwise, if all costs were equal, the result would be the first clip.
         unchanged = rounds > 0 and abs(largest - costs[-2]) <= TOLERANCE
         if rounds == MAX_ROUNDS or (rounds > 0 and (largest < CONVERGED or unchanged)):
             break
@@ -317,15 +319,16 @@ def align_piece(piece: AlignmentTask) -> Paths:
 
 
 def quantise(template: Template, delta: float) -> QuantisedTemplate:
-    """Replace values ≤ delta by 0, values ≥ 1 − delta by 1, and the rest by a wildcard (thesis, Section 2.3).
+    """Replace values ≤ delta by 0, values ≥ 1 − delta by 1, and others by a wildcard (thesis, Section 2.3).
 
     Parameters
     ----------
     template : Template
-        At most 63 features. A feature of weight 0 becomes a wildcard everywhere; other weights are kept, and weight
-        fixed entries in distance curves.
+        A template of at most 63 features. A feature of weight 0 becomes a wildcard in all columns. Other weights are
+        kept, and are used in distance curves.
     delta : float
-        0 ≤ δ < 0.5; 0 fixes only what does not vary at all. Values are compared with a tolerance of 1e-9.
+        A number 0 ≤ δ < 0.5; with 0, only values that are equal in all clips are fixed. Values are compared with a
+        tolerance of 1e-9.
 
     Raises
     ------
@@ -393,16 +396,16 @@ def evenly_drawn(lengths: Sequence[int], actors: Sequence[str], count: int) -> I
     """Draw clips evenly over actors, and over the lengths of each actor's clips.
 
     The clips are sorted by actor, then by length, and divided into `count` equal parts; the middle clip of each part is
-    drawn. So each actor's share of the drawn clips is that of all clips, up to one clip.
+    drawn. Hence each actor has the same fraction of the drawn clips as of all clips, up to one clip.
 
     Parameters
     ----------
     lengths : sequence of int
-        The frames of each clip.
+        The number of frames of each clip.
     actors : sequence of str
         The actor of each clip.
     count : int
-        The number of clips to draw; all are drawn where there are no more.
+        The number of clips to draw; if there are fewer clips, all are drawn.
 
     Returns
     -------
@@ -412,7 +415,7 @@ def evenly_drawn(lengths: Sequence[int], actors: Sequence[str], count: int) -> I
     Raises
     ------
     ParameterError
-        There is not one actor for each clip, or no clip is wanted.
+        There is not one actor for each clip, or the number of clips to draw is below 1.
 
     Examples
     --------

@@ -1,6 +1,7 @@
-"""This module does classical dynamic time warping of two weighted sequences, with the path seen from either one.
+"""This module performs classical dynamic time warping (DTW) of two weighted sequences.
 
-Templates are stacked, and pairs of them warped; each path is stored as seen from both templates.
+It also warps many pairs of templates, whose columns are concatenated in a stack. Of equally cheap paths, the choice may
+depend on which sequence comes first; therefore each path is stored as seen from both templates.
 """
 
 from __future__ import annotations
@@ -16,8 +17,8 @@ from kinedex.ops.bits import count_bits
 from kinedex.ops.errors import ParameterError
 
 DIAGONAL, FIRST, SECOND, EITHER = np.uint8(0), np.uint8(1), np.uint8(2), np.uint8(3)
-"""The step that enters a cell: both sequences advance, only the first, only the second; or EITHER where the last two
-are equally cheap, and the sequence advances from which the path is seen.
+"""The step that enters a cell: both sequences advance, only the first, or only the second. EITHER means that the last
+two steps are equally cheap; then the sequence from which the path is seen advances.
 """
 
 BLOCK, MARGIN = 4, 3
@@ -43,23 +44,23 @@ class Alignment:
 def align(local_cost: F64, first_weights: F64, second_weights: F64) -> Alignment:
     """Align two sequences by classical DTW with steps (1,1), (1,0), (0,1).
 
-    A cell (k, l) of the path costs `local_cost[k, l]` times the mean of the two column weights. Among equally
-    cheap paths the one is taken that, read from its end, prefers (1,1), then (1,0) (the first sequence
-    advances), then (0,1).
+    A cell (k, l) of the path costs `local_cost[k, l]` times the mean of the two column weights. Of equally cheap paths,
+    the choice is made step by step from the end of the path: (1,1) is preferred to (1,0), in which only the first
+    sequence advances, and (1,0) is preferred to (0,1).
 
     Parameters
     ----------
     local_cost : float64 array (K, L)
-        Finite and not negative.
+        Local costs, finite and not negative.
     first_weights : float64 array (K,)
-        Positive.
+        Weights of the columns of the first sequence, positive.
     second_weights : float64 array (L,)
-        Positive.
+        Weights of the columns of the second sequence, positive.
 
     Returns
     -------
     Alignment
-        Its path has between max(K, L) and K + L − 1 cells.
+        The alignment, whose path has between max(K, L) and K + L − 1 cells.
 
     Raises
     ------
@@ -124,14 +125,14 @@ def begin_rows(accumulated: F64) -> None:
 def advance_rows(accumulated: F64, weighted: F64, entered: U8) -> None:
     """Fill in up to `BLOCK` rows of accumulated costs and of the steps that enter their cells (kernel).
 
-    A cell depends on the one before it, and such a dependent sum and comparison take as long as ten independent ones.
-    So four rows are computed together, each one column behind the row above.
+    A cell depends on the previous cell of its row, and a chain of dependent sums and comparisons takes about ten times
+    as long as independent ones. Therefore four rows are computed together, each one column behind the row above.
 
     Parameters
     ----------
     accumulated : float64 array (BLOCK + 1, L + 2 MARGIN)
-        In its first row the row above, column c at c + 1, and ∞ at 0 (see `begin_rows`); the last row that was filled
-        takes its place.
+        Accumulated costs. The first row holds the row above, with column c at index c + 1 and ∞ at index 0 (see
+        `begin_rows`). At the end it is replaced by the last row that was filled.
     weighted : float64 array (BLOCK, L + 2 MARGIN)
         The local costs times the mean of the two column weights, column c at c + MARGIN; finite everywhere.
     entered : uint8 array (R, L)
@@ -140,7 +141,7 @@ def advance_rows(accumulated: F64, weighted: F64, entered: U8) -> None:
     rows, width = entered.shape
     above, one, two, three, four = accumulated[0], accumulated[1], accumulated[2], accumulated[3], accumulated[4]
     w_one, w_two, w_three, w_four = weighted[0], weighted[1], weighted[2], weighted[3]
-    a = b = c = d = np.inf  # the last cell of each row, and the one before it
+    a = b = c = d = np.inf  # the last cell of each row
     a_before = b_before = c_before = np.inf
     for column in range(width + MARGIN):
         diagonal = c_before if c_before < c else c
@@ -181,8 +182,8 @@ def trace_back(entered: U8, preferred: np.uint8, steps: U8) -> int:
     entered : uint8 array (K, L)
         The step that enters each cell.
     preferred : uint8
-        FIRST or SECOND, the sequence that the path is read from; a step in which that one alone advances is written as
-        FIRST, and its opposite as SECOND.
+        FIRST or SECOND, the sequence from which the path is seen. A step in which only this sequence advances is
+        written as FIRST, and a step in which only the other sequence advances as SECOND.
     steps : uint8 array
         The results, of length K + L − 1 or more.
     """
@@ -212,7 +213,7 @@ def trace_back(entered: U8, preferred: np.uint8, steps: U8) -> int:
 
 @dataclass(frozen=True)
 class Weighted:
-    """Template columns in a method's own representation, with their weights.
+    """Template columns in the representation of a method, with their weights.
 
     Parameters
     ----------
@@ -233,7 +234,7 @@ class Stack:
     Parameters
     ----------
     columns : array (M, ·)
-        As those of `Weighted`.
+        The columns of all templates, in the form of `Weighted`.
     weights : float64 array (M,)
         The weight of each column.
     offsets : int64 array (n + 1,)
@@ -267,14 +268,14 @@ class Stack:
 
 @dataclass(frozen=True)
 class Paths:
-    """The warping paths of P pairs of templates, each stored as seen from both.
+    """The warping paths of P pairs of templates, each path stored twice, as seen from either template.
 
     Parameters
     ----------
     costs : float64 array (P,)
-        The DTW cost, which is the same from both sides.
+        The DTW cost of each pair, which is the same for both paths.
     steps : uint8 array
-        All paths one after the other.
+        The concatenated steps of all paths.
     starts, counts : int64 array (P, 2)
         The first step and the length of each path, read from the first template of its pair and from the second.
     """
@@ -309,13 +310,13 @@ def reference_pairs(count: int, references: I64) -> I64:
 
 
 def path_offsets(stack: Stack, pairs: I64) -> I64:
-    """Return the memory offsets of each pair's two paths, int64 (2 P + 1,); a path has at most K + L − 1 steps."""
+    """Return the memory offsets (2 P + 1,) of each pair's two paths, which have at most K + L − 1 steps each."""
     longest = stack.lengths[pairs].sum(axis=1) - 1
     return np.concatenate(([0], np.cumsum(np.repeat(longest, 2)))).astype(np.int64)
 
 
 def compact(costs: F64, counts: I64, steps: U8, offsets: I64) -> Paths:
-    """Return the paths in memory without gaps."""
+    """Copy the steps of all paths to contiguous memory, and return them as `Paths`."""
     kept = np.concatenate([steps[start : start + count] for start, count in zip(offsets, counts, strict=False)])
     starts = np.concatenate(([0], np.cumsum(counts)))[:-1]
     return Paths(costs, kept, starts.reshape(-1, 2), counts.reshape(-1, 2))
@@ -325,7 +326,7 @@ def compact(costs: F64, counts: I64, steps: U8, offsets: I64) -> Paths:
 def soft_costs(column: F64, turned: F64, first: int, total: float, out: F64) -> None:
     """Fill in the sum over features of |x − y|, divided by `total`, of one column against others (kernel).
 
-    Four features at a time are added in the features' order, so the sums equal those of a plain loop to the last bit.
+    Features are added four at a time but in their order, so that the sums equal those of a plain loop to the last bit.
 
     Parameters
     ----------
