@@ -102,7 +102,7 @@ def _all_of(write: Callable[[Score, int], list[float]], least: int, most: int) -
 
 
 def _cut_from_gait(style: gait.Gait, first: str, steps: int) -> Callable[[Score], Span]:
-    """Return a function that performs a gait and returns the time range of `steps` steps, the first with foot `first`."""
+    """Return a function that performs a gait and returns the time range of `steps` steps, starting with `first`."""
 
     def perform(score: Score) -> Span:
         lead = int(score.rng.integers(2, 4))

@@ -1,11 +1,13 @@
 """This module assembles and solves the Gauss–Newton system of a whole take, a band matrix with blocks per frame.
 
-Second differences of positions and rotations couple a frame with the two before and after it, each parameter only with
-itself, because H takes the derivative of every logarithm as the identity; g uses the exact derivative on request. So
-the matrix is a band whose half-width is twice the number of parameters. Frames are eliminated one after the other: the
-matrix of a frame, of its couplings with the next two, and of what earlier frames left there is a *front*, and the
-Cholesky factorisation of its first rows leaves a smaller matrix for the next frame. Parameters that move no observed
-point stay diagonal in H; each of them is a band of its own of half-width 2, and is solved apart.
+Second differences of positions and rotations couple each parameter of a frame with the same parameter in the two frames
+before and after. (H approximates the derivative of every logarithm by the identity; g can also use the exact
+derivative.) Hence the matrix is a band whose half-width is twice the number of parameters.
+
+Frames are eliminated one after the other, by the frontal method. The *front* is the matrix of a frame and the next two
+frames, after the elimination of all earlier frames. A Cholesky factorisation of its first rows gives the front of the
+next frame. Parameters that move no observed point are only coupled with themselves; each of them gives a separate band
+of half-width 2, which is solved on its own.
 """
 
 from __future__ import annotations
@@ -36,19 +38,19 @@ class Band(NamedTuple):
     smoothness : float64 array (N,)
         Weight of the second differences of each parameter.
     triples : float64 array (T,)
-        1 where a frame, the one before and the one after are consecutive without a cut, else 0.
+        1 if there is no cut between the previous frame, a frame and the next frame, else 0.
     coupled : int64 array (M,)
         The parameters that move observed points, ascending.
     single : int64 array (N − M,)
-        The others.
+        The other parameters.
     blocks : float64 array (T, M, M)
         Upper half of H of each frame for the coupled parameters, without second differences.
     diagonals : float64 array (T, N)
         The diagonal of H of each frame, without second differences.
     gradient : float64 array (T, N)
-        g.
+        The vector g of each frame.
     velocities : float64 array (T, K, 3)
-        log(R_tᵀR_{t+1}) of each node.
+        The rotation vector log(R_tᵀR_{t+1}) of each node.
     """
 
     smoothness: F64
@@ -73,7 +75,7 @@ def make_band(chain: ChainArrays, moving: I64, smoothness: F64, triples: F64) ->
     smoothness : float64 array (N,)
         Weight of the second differences of each parameter.
     triples : float64 array (T,)
-        1 where a frame, the one before and the one after are consecutive without a cut, else 0.
+        1 if there is no cut between the previous frame, a frame and the next frame, else 0.
     """
     frames, size = len(triples), PLACES + len(chain.axis_nodes)
     moves = np.ones(size, np.bool_)
@@ -105,13 +107,13 @@ def assemble(
     positions, rotations : float64 array (T, 3), (T, K, 3, 3)
         The poses.
     width : float
-        c of the loss; infinite for squares.
+        The width c of the robust loss; infinite for least squares.
     units : float64 array (T, V, P)
-        Out: the squares of the factors of residuals, see `rays.point_terms`.
+        Output: the squares of the factors of residuals, see `rays.point_terms`.
     exact : bool
         True for the exact derivative of every logarithm in g; False for the identity, as in H.
     band : Band
-        Out: the system.
+        Output: the system.
 
     Returns
     -------
@@ -161,7 +163,8 @@ def _differences(chain: ChainArrays, positions: F64, rotations: F64, band: Band)
 def _add_differences(chain: ChainArrays, positions: F64, rotations: F64, exact: bool, band: Band) -> float:
     """Add the second differences to g, and return their cost.
 
-    log(R_tᵀR_{t+1}) = v changes with R_{t+1} by the inverse right Jacobian J of v, and with R_t by −Jᵀ.
+    The derivative of v = log(R_tᵀR_{t+1}) with respect to a rotation of R_{t+1} is the inverse right Jacobian J of v,
+    and with respect to a rotation of R_t it is −Jᵀ.
     """
     cost = _differences(chain, positions, rotations, band)
     gradient, smoothness = band.gradient, band.smoothness
@@ -224,11 +227,11 @@ def solve_band(band: Band, damping: float, factors: F64, steps: F64) -> None:
     band : Band
         The system.
     damping : float
-        λ of Levenberg's method.
+        The damping λ of Levenberg's method.
     factors : float64 array (T, M, 2 M + 1)
-        Work memory for the rows of the factor.
+        Work memory for the rows of the Cholesky factor.
     steps : float64 array (T, N)
-        Out: x.
+        Output: the steps x.
     """
     frames = len(band.diagonals)
     own, near, far = np.empty(frames), np.empty(frames), np.empty(frames)
@@ -306,9 +309,9 @@ def _aligned(column: int) -> int:
 def _eliminate(front: F64, right: F64, m: int) -> None:
     """Factorise the first m rows of a front and its right side, and subtract their products from the other rows.
 
-    Row k ends at column 2 m + k: beyond it the coupling with the frame after the next one is 0. Eight rows are
-    subtracted from two others in one pass, and the remaining rows of the m in pairs. Rows are processed as slices from
-    column 0, so that the compiler vectorises the loops; values left of the diagonal are not used.
+    Row k ends at column 2 m + k, since the coupling with the frame after the next is 0 in later columns. Eight rows are
+    subtracted from two other rows in one pass, and the remaining ones of the m rows in pairs. Rows are processed as
+    slices from column 0, so that the compiler vectorises the loops; values left of the diagonal are not used.
     """
     for low in range(0, m, _PANEL):
         high = min(low + _PANEL, m)

@@ -1,13 +1,15 @@
-"""This module computes a frame's H and g: body points, priors, pulls to rest and hinges (thesis, 6.2.2 and 6.4).
+"""This module computes the normal equations H, g of one frame of a track (thesis, 6.2.2 and 6.4).
 
-H and g are those of a Gauss–Newton step x, which solves H x = −g: H sums JᵀAJ, and g sums Jᵀb over the terms: half of
-the derivatives of the cost. Only the lower half of H is filled. Both trackers use these terms.
+The terms are those of body points, of priors, of deviations from the rest pose and of hinge limits. A Gauss–Newton step
+x solves H x = −g, where H is the sum of JᵀAJ and g the sum of Jᵀb over all terms; g is half of the gradient of the
+cost. Only the lower half of H is filled. The frame tracker and the take tracker both use these terms.
 
 JᵀAJ and Jᵀb of all points of a frame are computed by sums over the subtrees of the nodes. A parameter moves all points
-below its node as one rigid body, by a twist: a velocity v of the point o where the root lies, and an angular velocity
-ω. With r = y − o the point y moves by v − [r]ω, where [r] is the matrix of r × ·. So the sums of A, [r]A, [r]A[r]ᵀ, b
-and r × b over the points below a node suffice for its parameters; they are accumulated from the leaves to the root (as
-in the composite rigid body algorithm of robotics). The work does not grow with the points of a node.
+below its node as one rigid body, by a twist: a velocity v at the position o of the root, and an angular velocity ω.
+With r = y − o, the point y moves by v − [r]ω, where [r] is the matrix of r × ·. Hence the sums of A, [r]A, [r]A[r]ᵀ, b
+and r × b over the points below a node suffice for its parameters. They are accumulated from the leaves to the root, as
+in the composite rigid body algorithm of robotics, so that the work per parameter does not depend on the number of
+points.
 """
 
 from __future__ import annotations
@@ -42,23 +44,23 @@ class PriorArrays(NamedTuple):
     Attributes
     ----------
     turn_targets : float64 array (T, K, 3, 3)
-        The rotation that each node is pulled to.
+        The target rotation of each node.
     turn_weights : float64 array (T, K, 3)
-        Weight about X, Y and Z of the node.
+        The weight of each rotation about X, Y and Z of the node.
     tilt_targets : float64 array (T, 3)
-        The target of the up axis in the frame of the pelvis.
+        The target of the world's up axis in the frame of the pelvis.
     tilt_weights : float64 array (T,)
-        Weight of each tilt.
+        The weight of each tilt.
     place_joints : int64 array (N,)
-        Joint of each place term.
+        The joint of each position term.
     place_directions : float64 array (N, 3)
-        Its unit vector.
+        The unit vector of each position term.
     place_targets : float64 array (N,)
-        Its target along this vector.
+        The target coordinate of the joint along this vector.
     place_weights : float64 array (N,)
-        Its weight.
+        The weight of each position term.
     place_starts : int64 array (T + 1,)
-        The index of the first place term of each frame, and the total number.
+        The index of the first position term of each frame, and the number of all terms.
     """
 
     turn_targets: F64
@@ -80,14 +82,14 @@ def prior_arrays(body: ChainBody, priors: PriorTerms | None, frames: int) -> Pri
     body : ChainBody
         The body.
     priors : PriorTerms or None
-        The terms; None for none.
+        The terms; None for no priors.
     frames : int
-        T, the number of frames.
+        The number of frames T.
 
     Raises
     ------
     ParameterError
-        The terms are not those of T frames of the body, or the place terms' frames do not ascend.
+        The terms are not those of T frames of the body, or the frames of position terms do not ascend.
     """
     nodes = len(body.chain.nodes)
     terms = no_priors(frames, nodes) if priors is None else priors
@@ -110,12 +112,12 @@ def prior_arrays(body: ChainBody, priors: PriorTerms | None, frames: int) -> Pri
 
 
 class TrackProblem(NamedTuple):
-    """The terms of a track: a body, what it is fitted to, and priors, as arrays for compiled functions.
+    """The terms of a track as arrays for compiled functions: a body, the observations, and priors.
 
     Parameters
     ----------
     chain : ChainArrays
-        The body, with P parameters of K nodes.
+        The body, with K nodes.
     evidence : Evidence
         The observations of T frames.
     priors : PriorArrays
@@ -127,7 +129,7 @@ class TrackProblem(NamedTuple):
     priors: PriorArrays
 
     def window(self, first: int, stop: int) -> TrackProblem:
-        """Return the terms of the frames from `first` up to, not including, `stop`."""
+        """Return the terms of the frames from `first` to `stop` − 1."""
         evidence, priors = self.evidence, self.priors
         return TrackProblem(
             self.chain,
@@ -156,11 +158,11 @@ def place_points(nodes: I64, offsets: F64, turned: F64, centres: F64, points: F6
     nodes : int64 array (P,)
         The node that moves each point.
     offsets : float64 array (P, 3)
-        Its place in the frame of that node.
+        The position of each point in the frame of that node.
     turned, centres : float64 array (K, 3, 3), (K, 3)
         The nodes, see `pose_nodes`.
     points : float64 array (P, 3)
-        Out: the points in the world.
+        Output: the points in the world.
     """
     for p in range(len(nodes)):
         k = nodes[p]
@@ -187,11 +189,11 @@ def add_point(
     point : float64 array (3,)
         The point in the world.
     matrix : float64 array (3, 3)
-        A, symmetric.
+        The symmetric matrix A.
     vector : float64 array (3,)
-        b.
+        The vector b.
     gradient : float64 array (parameters,)
-        g.
+        The vector g, to which the term is added.
     """
     columns, hessian = buffers.columns, buffers.hessian
     count = point_jacobian(chain, buffers.turned, buffers.centres, node, point, columns)
@@ -300,7 +302,7 @@ def _add_rotation_terms(
 
 @njit(cache=True, nogil=True)
 def _add_tilt_term(chain: ChainArrays, priors: PriorArrays, t: int, turn: F64, hessian: F64, gradient: F64) -> float:
-    """Add w ‖Rᵀe_y − t‖² of the pelvis, whose derivative by a rotation about e_d is (Rᵀe_y) × e_d."""
+    """Add w ‖Rᵀe_y − t‖² of the pelvis; the derivative of Rᵀe_y by a rotation about e_d is (Rᵀe_y) × e_d."""
     weight = priors.tilt_weights[t]
     up = turn[1]  # the row of R is Rᵀe_y
     excess = up - priors.tilt_targets[t]
@@ -358,7 +360,7 @@ class FrameBuffers(NamedTuple):
     points : float64 array (P, 3)
         The points of the evidence.
     matrices, vectors : float64 array (P, 3, 3), (P, 3)
-        A and b of each.
+        A and b of each point.
     columns : float64 array (parameters, 4)
         The Jacobian of a point.
     hessian : float64 array (parameters, parameters)
@@ -409,20 +411,20 @@ def frame_terms(
     t : int
         The frame.
     place, rotations : float64 array (3,), (K, 3, 3)
-        Its pose.
+        The pose of the frame.
     width : float
-        c of the loss; infinite for squares.
+        The width c of the robust loss; infinite for least squares.
     units : float64 array (V, P)
-        Out: the squares of the factors of residuals, see `rays.point_terms`.
+        Output: the squares of the factors of residuals, see `rays.point_terms`.
     buffers : FrameBuffers
         The preallocated arrays of the frame.
     gradient : float64 array (parameters,)
-        Out: g.
+        Output: the vector g.
 
     Returns
     -------
     float
-        The cost: of observations, pulls to rest, hinges, and priors.
+        The sum of the costs of observations, of the rest pose, of hinges, and of priors.
     """
     chain, evidence = problem.chain, problem.evidence
     pose_nodes(chain, place, rotations, buffers.turned, buffers.centres)
@@ -459,12 +461,12 @@ def observation_costs(body: ChainBody, evidence: Evidence, poses: Poses, width: 
     poses : Poses
         T poses.
     width : float
-        c of the loss; infinite for squares.
+        The width c of the robust loss; infinite for least squares.
 
     Returns
     -------
     float64 array (T,)
-        Σ conf² ρ(r).
+        The costs Σ conf² ρ(r).
     """
     costs = np.empty(len(poses.positions))
     _observation_costs(body.arrays, evidence, poses.positions, poses.rotations, width, costs)
@@ -494,8 +496,8 @@ def add_points(chain: ChainArrays, nodes: I64, buffers: FrameBuffers, gradient: 
     nodes : int64 array (P,)
         The node that moves each point.
     buffers : FrameBuffers
-        The arrays of the frame with its nodes, and the points with A, symmetric, and b of each; the lower half of H is
-        added to.
+        The arrays of the frame, with its nodes, and with the position, A and b of each point. The terms are added to
+        the lower half of H.
     gradient : float64 array (parameters,)
         g.
     """

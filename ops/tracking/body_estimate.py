@@ -34,11 +34,11 @@ class SideLengths:
     Attributes
     ----------
     joint : str
-        The joint at its end, without the side: `knee` for the thighs.
+        The joint at the end of the bone, without the side: `knee` for the thighs.
     left_m, right_m : float
-        Medians in metres; NaN where a side is not seen.
+        Median lengths in metres; NaN if a side is not seen.
     frames : int
-        The lower number of frames of the sides that are seen.
+        The number of frames in which a side is seen; if both are seen, the smaller number.
     """
 
     joint: str
@@ -48,7 +48,7 @@ class SideLengths:
 
     @property
     def ratio(self) -> float:
-        """Return the longer side divided by the shorter one; NaN if one is not seen."""
+        """Return the ratio of the longer to the shorter length; NaN if a side is not seen."""
         low, high = sorted((self.left_m, self.right_m))
         return high / low if low > 0 else np.inf if low == 0 else np.nan
 
@@ -64,7 +64,7 @@ class BodyEstimate:
     sides : tuple of SideLengths
         The bones that keypoints determine.
     scaled : tuple of str
-        Joints at the end of bones without keypoints, whose lengths are scaled from the mean body.
+        The joints at the ends of bones without keypoints, whose lengths are those of the mean body, scaled.
     trunk_m : float
         Distance in metres between the midpoints of hips and shoulders.
     cameras : int
@@ -103,21 +103,21 @@ def estimate_body(
 ) -> BodyEstimate:
     """Estimate the bone lengths of a person from keypoints.
 
-    A length is the median over frames where both of its ends are seen by three cameras, averaged over both sides. Where
-    the sides differ by more than a tenth, the one nearer to the mean body is taken. Hips and shoulders lie at half
-    their distance from their midpoint. Bones without keypoints have the mean body's lengths, scaled by the arms, the
-    legs, or the trunk.
+    The length of a bone is the median over frames in which both of its ends are seen by three cameras, averaged over
+    both sides of the body. If the sides differ by more than a tenth, the length nearer to the mean body is used. Hips
+    and shoulders lie at half their distance from their midpoint. Bones without keypoints have the lengths of the mean
+    body, scaled like the arms, the legs, or the trunk.
 
     Parameters
     ----------
     chain : KinematicChain
-        The chain, with the names of the shipped one.
+        The chain, with the joint names of the shipped chain.
     points : float64 array (T, P, 3)
-        Triangulated keypoints in metres; NaN where there is none.
+        Triangulated keypoints in metres; NaN if there is none.
     cameras : int64 array (T, P)
-        The number of cameras from which each was triangulated.
+        The number of cameras from which each keypoint was triangulated.
     joints : int64 array (P,)
-        The joint that each keypoint is, −1 where it is none.
+        The joint that each keypoint coincides with, −1 for none.
     archive_mean : ChainBody
         The mean body, see `mean_body`.
 
@@ -129,9 +129,9 @@ def estimate_body(
     Raises
     ------
     ParameterError
-        Hips and shoulders are no keypoints, or are never seen together by two cameras.
+        Hips and shoulders are not among the keypoints, or are never seen together by two cameras.
     KinedexError
-        Their distance is implausible for a body; the message suggests the unit.
+        The distance of hips and shoulders is implausible for a body; the message suggests the unit.
     """
     frames, count = cameras.shape
     if points.shape != (frames, count, 3) or joints.shape != (count,):
@@ -223,7 +223,7 @@ def _sides(chain: KinematicChain, positions: dict[str, F64], bone: str) -> SideL
 def _limb_lengths(
     limb: tuple[str, ...], bones: list[SideLengths | None], mean: dict[str, float], share: float
 ) -> dict[str, float]:
-    """Return the lengths of a limb's bones; unseen bones get the mean body's length, scaled as the seen bones are."""
+    """Return the lengths of a limb's bones; unseen bones have the mean body's length, scaled like the seen bones."""
     expected = {bone: 0.5 * (mean[f"l{bone}"] + mean[f"r{bone}"]) for bone in limb}
     even = [found for found in bones if found is not None and not found.ratio > UNEVEN]
     measured = sum(np.nanmean((found.left_m, found.right_m)) for found in even)

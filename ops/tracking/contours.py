@@ -1,11 +1,13 @@
 """This module matches a body's contour with the boundary of silhouettes (thesis, Section 6.2.3).
 
-A capsule seen from a camera has a contour line on either side. Its points are exact: a plane through the camera's
-centre C touches the cylinder of radius r about the axis point p, with axis direction a, at p + r (cos β v ± sin β u),
-where u is a × (p − C) normalised, v is u × a turned to the camera, and cos β = r / distance of C from the axis. From
-each such point that projects inside no other capsule, the boundary of the foreground is searched along the normal of
-the contour in the image. The ray through it and the point of the surface are a correspondence of Eq. 6.4. A frame's
-correspondences are summed, and added to its H and g (Eq. 6.4).
+A capsule that is seen from a camera has a contour line on either side, whose points are computed exactly. A plane
+through the camera's centre C touches the cylinder of radius r about an axis point p, with axis direction a, at p + r
+(cos β v ± sin β u). Here u is a × (p − C) normalised, v is ± (u × a) with the sign for which v points to the camera,
+and cos β is r divided by the distance of C from the axis.
+
+From each contour point that projects inside no other capsule, the boundary of the foreground is searched along the
+normal of the contour in the image. The ray through the boundary and the surface point form a correspondence of Eq. 6.4.
+The correspondences of a frame are summed, and added to the frame's normal equations H, g.
 """
 
 from __future__ import annotations
@@ -28,7 +30,7 @@ SPACING_M = 0.03
 """Spacing in metres of contour points along the axis of a capsule."""
 
 INSIDE = 0.97
-"""Share of a capsule's radius; contour points of other capsules that are nearer to its axis are hidden or inside it."""
+"""Fraction of a capsule's radius; contour points of other capsules nearer to the axis count as hidden or inside."""
 
 HALF = 127.5
 """The mask value at the boundary: a foreground probability of one half, scaled to 0 … 255."""
@@ -44,8 +46,8 @@ _NEAREST_M = 0.3  # least depth in metres at which the size of a pixel is comput
 class Masks(Protocol):
     """The interface of silhouettes over time, one mask for each camera and frame.
 
-    Frame t is one uint8 array (H, W) for each camera, the probability of foreground times 255, or 0 and 255; None
-    where a camera has no image.
+    Frame t has one uint8 array (H, W) for each camera, the probability of foreground times 255, or only 0 and 255. It
+    is None if a camera has no image.
     """
 
     def __len__(self) -> int: ...
@@ -76,7 +78,7 @@ class Silhouettes(NamedTuple):
         Raises
         ------
         ParameterError
-            The number of masks is not that of the cameras, or a mask does not have the camera's size.
+            The numbers of masks and cameras differ, or a mask does not have the camera's size.
         """
         masks = self.masks[t]
         if len(masks) != len(self.views):
@@ -110,7 +112,7 @@ class Observed:
     silhouettes : Silhouettes, optional
         Masks in calibrated cameras.
     cuts : tuple of int
-        Frames at which the motion is not continuous with the frame before.
+        Frames at which the motion is not continuous with the previous frame.
     """
 
     body: ChainBody
@@ -145,18 +147,18 @@ class Observed:
 
 
 class Contours(NamedTuple):
-    """Contour points of a pose in one camera, with the boundaries found; arrays with a capacity of M.
+    """Contour points of a pose in one camera, with the boundary points found for them; arrays of capacity M.
 
     Attributes
     ----------
     capsules : int64 array (M,)
         The capsule of each point.
     shares : float64 array (M,)
-        Its position s on the axis, from 0 at the start to 1 at the end.
+        The position s of each point on the axis, from 0 at the start to 1 at the end.
     points : float64 array (M, 3)
-        The point of the surface in metres.
+        The points of the surface in metres.
     directions : float64 array (M, 3)
-        Unit vector of the ray through the boundary point found.
+        Unit vectors of the rays through the boundary points.
     shifts : float64 array (M,)
         The distance to the boundary in pixels of the camera, positive outwards.
     """
@@ -217,18 +219,18 @@ def find_contours(view: View, mask: U8, joints: F64, capsules: Capsules, found: 
     view : View
         The camera.
     mask : uint8 array (H, W)
-        Its mask, see `Masks`.
+        The mask of the camera, see `Masks`.
     joints : float64 array (J, 3)
         The joints of the pose in metres.
     capsules : Capsules
         The surface of the body.
     found : Contours
-        Out: the correspondences, see `contour_buffers`.
+        Output: the correspondences, see `contour_buffers`.
 
     Returns
     -------
     correspondences : int
-        The number of correspondences. A point that finds no boundary within `view.reach` has none.
+        The number of correspondences; a point without a boundary within `view.reach` has no correspondence.
     visible : int
         The number of contour points that the body does not hide.
     """
@@ -285,8 +287,9 @@ def _hidden(own: int, x: float, y: float, boxes: F64, seen: F64, capsules: Capsu
 def _boundary(view: View, mask: U8, point: tuple[float, float, float], normal: F64, direction: F64) -> float:
     """Find the boundary of the foreground from a contour point in the camera's axes, along its normal in the image.
 
-    Returns the distance in pixels of the camera, positive outwards, and writes the direction of the boundary's ray in
-    the world to the last array; NaN where there is no boundary within reach or before the border of the image.
+    Return the distance in pixels of the camera, positive outwards, and write the direction in the world of the ray
+    through the boundary to the last array. The distance is NaN if there is no boundary within reach or before the
+    border of the image.
     """
     x, y, z = point
     column, row = mask_pixel(view, x / z, y / z)
@@ -396,14 +399,14 @@ def add_contours(view: View, found: Contours, count: int, sums: ContourSums) -> 
     found : Contours
         The correspondences.
     count : int
-        Their number.
+        The number of correspondences.
     sums : ContourSums
-        The sums, which are added to.
+        The sums, to which the correspondences are added.
 
     Returns
     -------
     float
-        The sum of the squares, w ‖(I − n nᵀ)(y − C)‖².
+        The cost, which is the sum of w ‖(I − n nᵀ)(y − C)‖².
     """
     cost, capsules = 0.0, sums.capsules
     focal = 0.5 * (view.matrix[0, 0] + view.matrix[1, 1])
@@ -445,7 +448,7 @@ def sums_cost(sums: ContourSums, joints: F64) -> float:
     Returns
     -------
     float
-        The difference of the squares, which is negative where the pose fits better.
+        The difference of the costs, which is negative if the other pose fits better.
     """
     cost, capsules = 0.0, sums.capsules
     moves = joints - sums.joints

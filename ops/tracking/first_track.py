@@ -1,4 +1,7 @@
-"""This module tracks a recording without priors: start, solve, restart where too little is seen, and solve again."""
+"""This module tracks a recording without priors, in two passes.
+
+The second pass restarts from the result of the first, with nodes interpolated in frames in which they are not seen.
+"""
 
 from __future__ import annotations
 
@@ -30,11 +33,11 @@ class FirstTrack:
     start : Poses
         The initial poses.
     before : TakeTrack
-        The track before the restart.
+        The track of the first pass.
     track : TakeTrack
-        The track.
+        The track of the second pass, the result.
     trust : Trust
-        Trust in the original observations, computed from the track.
+        The reliability of the original observations, computed from the result.
     """
 
     start: Poses
@@ -49,9 +52,9 @@ def first_track(observed: Observed, loss: Loss = "geman_mcclure", sigma_px: floa
     Parameters
     ----------
     observed : Observed
-        A body of the shipped chain's nodes, and rays or places of T frames.
+        A body with the nodes of the shipped chain, and rays or joint positions of T frames.
     loss : str, optional
-        `geman_mcclure`, or `squares`, which the thesis has.
+        `geman_mcclure`, or `squares` as in the thesis.
     sigma_px : float, optional
         Standard deviation of a keypoint in pixels.
 
@@ -77,17 +80,18 @@ def find_start(
 ) -> Poses:
     """Return initial poses of a track: the chain fitted to points, interpolated where they are not reliable.
 
-    A triangulated point counts only if more than half of the cameras that see it agree on it: if two of four cameras
-    confuse left and right, each pair is consistent, and the choice between them would flicker.
+    A triangulated point is only used if more than half of the cameras that see it agree on it. If two of four cameras
+    confuse left and right, each pair of cameras is consistent, and the choice between them would change from frame to
+    frame.
 
     Parameters
     ----------
     body : ChainBody
-        A body of the shipped chain's nodes.
+        A body with the nodes of the shipped chain.
     observations : Rays or JointPositions
         The observations of T frames.
     points : BodyPoints or None
-        The points that rays observe; None for places.
+        The points that rays observe; None for joint positions.
     sigma_px : float, optional
         Standard deviation of a keypoint in pixels.
 

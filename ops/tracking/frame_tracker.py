@@ -1,8 +1,8 @@
 """This module tracks a body frame by frame, on rays, silhouettes, or joint positions (thesis, Section 6.2).
 
-Every frame starts from the pose of the last one and minimises the squares of Eq. 6.4 by Gauss and Newton's method; no
-term couples frames. On silhouettes a frame starts from the last pose extrapolated by the last velocity, and its
-correspondences are recomputed several times.
+In every frame, the squares of Eq. 6.4 are minimised by the Gauss–Newton method, starting from the previous pose; no
+term couples frames. On silhouettes, the start is the previous pose, extrapolated by the last velocity, and the
+correspondences with the silhouettes are computed several times.
 """
 
 from __future__ import annotations
@@ -57,11 +57,10 @@ STEPS = 10
 """Maximum number of steps in a frame without silhouettes, rejected ones included."""
 
 PASSES, PASS_STEPS = 8, 2
-"""Number of times that correspondences with silhouettes are computed in a frame, and of steps after each time."""
+"""Number of times that correspondences with silhouettes are computed in a frame, and number of steps each time."""
 
 START_RAD = 0.12
-"""Standard deviation in radians of a node's rotation from the start of a frame, on silhouettes, for nodes without
-priors.
+"""Standard deviation in radians, on silhouettes, of the rotation of a node without priors from its start in a frame.
 """
 
 MIN_CONTOURS = 30
@@ -74,10 +73,10 @@ MIN_RAYS, MIN_PLACES = 12, 4
 """Minimum numbers of rays and of joint positions without silhouettes; with fewer a frame is lost."""
 
 FASTEST_M_S = 9.0
-"""Speed of the root in m/s above which a frame is lost: 0.3 m a frame at 30 Hz."""
+"""Speed of the root in m/s above which a frame is lost, which is 0.3 m per frame at 30 Hz."""
 
 WORSE = 1.1
-"""Ratio of mask differences, with to without priors, above which a frame on silhouettes is fitted without priors."""
+"""Ratio of mask differences with and without priors above which a frame on silhouettes is fitted without priors."""
 
 _CARRIED = 0.7  # share of the last rotations by which the start of a frame on silhouettes is extrapolated
 # the initial damping, and its factors after an accepted and a rejected step
@@ -97,16 +96,17 @@ class FrameTrack:
     positions : float64 array (T, J, 3)
         The joints in metres.
     costs : float64 array (T,)
-        The costs that the guard of priors compares: with silhouettes alone the differences below, else the squared
-        residuals of the observations.
+        The costs that the guard of priors compares. With silhouettes alone these are the `differences`, else the
+        squared residuals of the observations.
     lost : bool array (T,)
-        True where a frame has too few observations or would jump, so that it keeps the last pose.
+        True if a frame has too few observations or its pose would jump, so that the previous pose is kept.
     contours : int64 array (T,)
         The number of correspondences with silhouettes.
     shifts_px : float64 array (T,)
-        Mean distance of the contour from the silhouettes' boundary in pixels of the cameras, NaN without any.
+        Mean distance of the contour from the silhouettes' boundary in pixels of the cameras; NaN without silhouettes.
     differences : float64 array (T,)
-        Pixels that are either body or foreground but not both, as a fraction of the foreground; NaN without any.
+        Number of pixels that are either body or foreground but not both, divided by the number of foreground pixels;
+        NaN without silhouettes.
     """
 
     poses: Poses
@@ -126,11 +126,12 @@ def track_frames(
     Parameters
     ----------
     observed : Observed
-        The body, and rays, places or silhouettes over T frames.
+        The body, and rays, joint positions or silhouettes over T frames.
     first : Poses, optional
-        One pose, the start of the first frame; by default it is fitted to the triangulated points, or to the places.
+        A single pose from which the first frame starts; by default it is fitted to the triangulated points, or to the
+        joint positions.
     priors : PriorTerms, optional
-        Terms of priors, of T frames.
+        Terms of priors for T frames.
     sigma_px : float, optional
         Standard deviation of a keypoint in pixels.
 
@@ -142,8 +143,8 @@ def track_frames(
     Raises
     ------
     ParameterError
-        There are no observations, or no first pose for silhouettes alone; a number of frames differs, or a mask is not
-        of its camera's size.
+        There are no observations, there are only silhouettes but no first pose, numbers of frames differ, or a mask
+        does not have its camera's size.
     """
     body, frames = observed.body, _Frames(observed, priors, sigma_px)
     if first is None:
@@ -246,7 +247,7 @@ class _Frames:
             self.contours = contour_buffers(self.capsules, rest_joints(body))
 
     def track(self, t: int, last: _State) -> _State:
-        """Return the state of frame t, tracked from the state of the frame before."""
+        """Return the state of frame t, tracked from the state of the previous frame."""
         if self.silhouettes is None:
             fit, masks = _Fit(last.place.copy(), last.rotations.copy()), []
             fit.cost = self._solve(t, fit.place, fit.rotations, STEPS, self.priors)
@@ -267,7 +268,7 @@ class _Frames:
         return _State(fit.place, fit.rotations, step, turned, fit, 0)
 
     def _best_fit(self, t: int, masks: list[tuple[View, U8]], last: _State) -> _Fit:
-        """Return the fit to silhouettes with priors, or without them if the masks then fit much better."""
+        """Return the fit to silhouettes with priors, or without priors if the masks then fit much better."""
         priors = self.priors
         place = last.place + last.moved
         moved = last.rotations @ np.stack([rotation_of(_CARRIED * vector) for vector in last.turned])
@@ -331,13 +332,13 @@ class _Frames:
         return point_cost(evidence, t, buffers.points, np.inf, self.units, True)
 
     def _sees(self, t: int) -> bool:
-        """Minimise the cost of a frame, updating its pose in place; return the squared residuals of observations."""
+        """Return whether a frame has enough rays or joint positions to be tracked without silhouettes."""
         rays = np.count_nonzero(self.evidence.confidence[t] > 0)
         positions = np.isfinite(self.evidence.positions[t]).all(axis=1).sum() if len(self.evidence.positions) else 0
         return bool(rays >= MIN_RAYS or positions >= MIN_PLACES)
 
     def _centred(self, masks: list[tuple[View, U8]], place: F64, rotations: F64) -> F64:
-        """Return the root position that puts the middle of the body where the rays of the masks' centroids meet."""
+        """Return the root position for which the middle of the body is where the rays of the masks' centroids meet."""
         if len(masks) < 2:
             return place
         capsules = self.capsules

@@ -1,6 +1,6 @@
-"""This module defines observations of a body over time: rays of keypoints, and positions of joints.
+"""This module defines observations of a body over time, rays of keypoints or positions of joints, and terms of priors.
 
-Terms of priors, constant in a round, stand beside them in the energy of a track (thesis, Section 6.4).
+The cost of a track is the sum of the terms of observations and of priors (thesis, Section 6.4).
 """
 
 from __future__ import annotations
@@ -29,9 +29,9 @@ class BodyPoints:
     nodes : int64 array (P,)
         The node that moves each point.
     offsets : float64 array (P, 3)
-        Its place in the frame of that node, from the node's centre, in metres.
+        The position of each point in the frame of that node, from the node's centre, in metres.
     joints : int64 array (P,)
-        The joint of the chain at the point, −1 for other points (a nose, an ear).
+        The joint of the chain at each point, −1 for other points (a nose, an ear).
     """
 
     nodes: I64
@@ -58,7 +58,7 @@ class Rays:
     directions : float64 array (T, V, P, 3)
         Unit vectors of the rays in the world.
     confidence : float64 array (T, V, P)
-        Confidence in [0, 1]; 0 where the keypoint is not seen.
+        Confidence in [0, 1]; 0 if the keypoint is not seen.
     """
 
     centres: F64
@@ -81,7 +81,7 @@ class JointPositions:
     Attributes
     ----------
     positions : float64 array (T, J, 3)
-        Joints of the chain in metres, Y up; NaN where a joint was not tracked.
+        Joints of the chain in metres, Y up; NaN if a joint was not tracked.
     sigma_m : float64 array (T, J)
         Standard deviation of each position in metres.
     """
@@ -105,13 +105,13 @@ class PriorTerms:
     Attributes
     ----------
     turn_targets : float64 array (T, K, 3, 3)
-        The rotation M that each node is pulled to; the identity where nothing pulls.
+        The target rotation M of each node; the identity if there is no term.
     turn_weights : float64 array (T, K, 3)
-        Weight 1/σ² about X, Y and Z of the node, per rad²; 0 where nothing pulls.
+        Weight 1/σ² about X, Y and Z of the node, per rad²; 0 if there is no term.
     tilt_targets : float64 array (T, 3)
-        The unit vector t that the up axis seen from the pelvis is pulled to.
+        The target t, a unit vector, of the world's up axis in the frame of the pelvis.
     tilt_weights : float64 array (T,)
-        Weight of each tilt; 0 where nothing pulls.
+        Weight of each tilt; 0 if there is no term.
     place_frames, place_joints : int64 array (N,)
         Frame and joint of each place term, frames ascending.
     place_directions : float64 array (N, 3)

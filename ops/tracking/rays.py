@@ -1,12 +1,12 @@
 """This module sums robust squared distances from rays as a matrix A and a vector b per body point (thesis, 6.2.2).
 
-A ray of a camera at C has the Plücker line (n, m = C × n), and ‖y × n − m‖ of Eq. 6.3 is the distance of a point y from
-it. With e = (I − nnᵀ)(y − C) this is ‖e‖, and the sums A = Σ w(I − nnᵀ) and b = Σ w e over the cameras are all that a
-step needs, for any number of cameras: H += JᵀAJ and g += Jᵀb for the Jacobian J of the point.
+The ray with unit vector n of a camera at C has the Plücker line (n, m = C × n), and ‖y × n − m‖ of Eq. 6.3 is the
+distance of a point y from the ray. It equals ‖e‖ with e = (I − nnᵀ)(y − C). For any number of cameras, a step needs
+only the sums A = Σ w(I − nnᵀ) and b = Σ w e over the cameras: H += JᵀAJ and g += Jᵀb, with the Jacobian J of the point.
 
 A residual r = ‖e‖ / (depth · σ_px / f) is in units of the pixels' noise. The loss of Geman and McClure is ρ(r) = r² /
-(1 + r²/c²), with the weight ω = (1 + r²/c²)⁻²; c = ∞ gives plain squares. Each term is multiplied by the square of the
-keypoint's confidence. The depth is constant within a step: its derivative is ignored.
+(1 + r²/c²), with the weight ω = (1 + r²/c²)⁻²; c = ∞ gives least squares. Each term is multiplied by the square of the
+keypoint's confidence. The depth is taken as constant within a step, so that its derivative is ignored.
 """
 
 from __future__ import annotations
@@ -31,14 +31,14 @@ MIN_DEPTH_M = 0.3
 class Evidence(NamedTuple):
     """Observations of points of a body, as arrays for compiled functions.
 
-    For rays `positions` is empty; for places V is 0.
+    For rays `positions` is empty; for joint positions V is 0.
 
     Attributes
     ----------
     nodes : int64 array (P,)
         The node that moves each point.
     offsets : float64 array (P, 3)
-        Its place in the frame of that node.
+        The position of each point in the frame of that node.
     centres : float64 array (V, 3)
         Centres of the cameras.
     directions : float64 array (T, V, P, 3)
@@ -46,11 +46,11 @@ class Evidence(NamedTuple):
     confidence : float64 array (T, V, P)
         Confidence; 0 where it is below `MIN_CONFIDENCE`.
     scales : float64 array (V,)
-        f/σ_px of each camera: over the depth, the factor that turns metres into units of noise.
+        f/σ_px of each camera; divided by the depth, it converts metres to units of noise.
     positions : float64 array (T, P, 3), or (0, 0, 3)
-        Places of the points, NaN where there is none.
+        Observed positions of the points; NaN if there is none.
     precisions : float64 array (T, P), or (0, 0)
-        1/σ of each place, per metre.
+        1/σ of each position, per metre.
     """
 
     nodes: I64
@@ -75,7 +75,7 @@ def make_evidence(
     observations : Rays or JointPositions
         Rays of the P points, or positions of the joints of the chain.
     points : BodyPoints or None
-        The points that rays observe; None for places.
+        The points that rays observe; None for joint positions.
     sigma_px : float, optional
         Standard deviation of a keypoint in pixels.
 
@@ -140,18 +140,18 @@ def point_terms(
     points : float64 array (P, 3)
         The points of the body in the world.
     width : float
-        c of the loss of Geman and McClure; infinite for squares.
+        The width c of the loss of Geman and McClure; infinite for least squares.
     units : float64 array (V, P)
-        Out: (depth · σ_px / f)⁻², the square of the factor that turns metres into units of noise.
+        Output: (depth · σ_px / f)⁻², the square of the factor that converts metres to units of noise.
     matrices : float64 array (P, 3, 3)
-        Out: A = Σ w(I − nnᵀ), with w = conf² ω / (depth · σ_px / f)².
+        Output: A = Σ w(I − nnᵀ), with w = conf² ω / (depth · σ_px / f)².
     vectors : float64 array (P, 3)
-        Out: b = Σ w e.
+        Output: b = Σ w e.
 
     Returns
     -------
     float
-        Σ conf² ρ(r).
+        The cost Σ conf² ρ(r).
     """
     total, flat = 0.0, width**-2.0
     matrices[:] = 0.0
@@ -227,11 +227,12 @@ def point_cost(evidence: Evidence, t: int, points: F64, width: float, units: F64
     points : float64 array (P, 3)
         The points of the body in the world.
     width : float
-        c of the loss of Geman and McClure; infinite for squares.
+        The width c of the loss of Geman and McClure; infinite for least squares.
     units : float64 array (V, P)
-        The squares of the factors that turn metres into units of noise, see `point_terms`.
+        The squares of the factors that convert metres to units of noise, see `point_terms`.
     fresh : bool
-        True to compute `units` from the depths of the points; False to use the given ones, as constants of a step.
+        True to compute `units` from the depths of the points; False to use the given values, which are constant within
+        a step.
     """
     total, flat = 0.0, width**-2.0
     for v in range(len(evidence.centres)):

@@ -1,12 +1,12 @@
-"""This module tracks whole takes: all frames at once, as an iterated smoother (Levenberg's method on a band).
+"""This module tracks all frames of a take at once, as an iterated smoother (Levenberg's method on a band matrix).
 
-The terms of each frame (see `blocks`) are combined with second differences of the root's position and of all nodes'
-rotations. The robust loss starts wide and becomes narrower, so that points far from their rays are not rejected at
-once.
+The cost consists of the terms of each frame (see `blocks`) and of second differences of the root's position and of the
+rotations of all nodes. The robust loss starts wide and becomes narrower in later solves, so that points far from their
+rays are not rejected at once.
 
-Silhouettes become terms of its priors. The correspondences of a frame pull every joint by A and b of Eq. 6.4. The
-quadratic form of one joint is a sum of three squares along the eigenvectors of A, which are place terms, so the tracker
-of takes needs no other kind of term.
+Silhouettes are converted to terms of the same form as those of priors. The correspondences of a frame give a quadratic
+form with A and b of Eq. 6.4 for every joint. This is a sum of three squares along the eigenvectors of A, each of which
+is a position term, so that the tracker needs no other kind of term.
 """
 
 from __future__ import annotations
@@ -37,7 +37,7 @@ from kinedex.ops.tracking.rays import SIGMA_PX, make_evidence
 Loss = Literal["geman_mcclure", "squares"]
 
 SCHEDULE = (12.0, 6.0, 3.0)
-"""The widths c of the robust loss, one per solve."""
+"""The widths c of the robust loss, one for each of the successive solves."""
 
 TURN_RAD_S2 = 60.0
 """Standard deviation of the angular acceleration of a node about one axis, in rad/s²."""
@@ -46,7 +46,7 @@ PLACE_M_S2 = 8.0
 """Standard deviation of the acceleration of the root, in m/s²."""
 
 WINDOW_FRAMES, OVERLAP_FRAMES = 2000, 60
-"""Number of frames that are solved at once, and overlap of two such windows in frames."""
+"""Number of frames of a window, which are solved at once, and number of frames by which two windows overlap."""
 
 MAX_TRIES, TOLERANCE = 12, 1e-4
 """Maximum number of tries for each c, and the relative decrease of the cost below which a solve has converged."""
@@ -71,7 +71,7 @@ class TakeTrack:
     positions : float64 array (T, J, 3)
         The joints in metres.
     costs : float64 array (T,)
-        Cost of the observations of each frame, Σ conf² ρ at the last c.
+        Cost of the observations of each frame, Σ conf² ρ with the last width c.
     steps : int
         The number of steps of Levenberg's method, rejected ones included, in the window with the most.
     """
@@ -95,22 +95,22 @@ def track_take(
     Parameters
     ----------
     observed : Observed
-        The body, and rays or places of T frames; silhouettes are not used.
+        The body, and rays or joint positions of T frames; silhouettes are not used.
     start : Poses
-        T poses to start from, see `first_track.find_start`.
+        T initial poses, see `first_track.find_start`.
     priors : PriorTerms, optional
-        Pulls of priors.
+        The terms of priors.
     loss : str, optional
-        `geman_mcclure`, or `squares`, which the thesis has.
+        `geman_mcclure`, or `squares` as in the thesis.
     sigma_px : float, optional
         Standard deviation of a keypoint in pixels.
     schedule : sequence of float, optional
-        The values of c, one per solve; not used for squares.
+        The widths c of the loss, one for each solve; not used for squares.
 
     Raises
     ------
     ParameterError
-        The arguments do not fit each other.
+        The arguments do not match each other.
     """
     if loss not in ("geman_mcclure", "squares"):
         raise ParameterError("loss", "geman_mcclure or squares", loss)
@@ -158,7 +158,7 @@ def smoothness_weights(body: ChainBody, rate_hz: float) -> F64:
 
 
 def connected_triples(frames: int, cuts: Sequence[int]) -> F64:
-    """Return 1 for every frame that is consecutive with the one before and the one after, else 0.
+    """Return 1 for every frame that has a previous and a next frame without a cut in between, else 0.
 
     Raises
     ------
@@ -198,8 +198,8 @@ def _solve(
 ) -> tuple[Poses, int]:
     """Solve one window, and return its poses and the number of steps tried.
 
-    With the identity as the derivative of logarithms, g is consistent with H, and steps succeed even if the start jumps
-    between frames, where most steps with the exact g would be rejected. The exact g is used at the end.
+    First, g uses the identity as the derivative of logarithms, like H. Steps then succeed even if the initial poses
+    jump between frames, whereas most steps with the exact g would be rejected. The exact g is used at the end.
     """
     chain, evidence, priors = problem
     joints = np.unique(priors.place_joints[priors.place_starts[0] : priors.place_starts[-1]])
@@ -231,7 +231,7 @@ def _solve(
 
 
 def silhouette_terms(body: ChainBody, poses: Poses, silhouettes: Silhouettes) -> tuple[PriorTerms, F64]:
-    """Return the place terms of the correspondences of poses with silhouettes.
+    """Return the correspondences of poses with silhouettes as position terms.
 
     Parameters
     ----------
@@ -245,9 +245,10 @@ def silhouette_terms(body: ChainBody, poses: Poses, silhouettes: Silhouettes) ->
     Returns
     -------
     terms : PriorTerms
-        At most three place terms for each joint and frame, and no others.
+        At most three position terms for each joint and frame, and no other terms.
     shifts_px : float64 array (T,)
-        Mean distance of the contour from the silhouettes' boundary in pixels of the cameras, NaN without any.
+        Mean distance of the contour from the silhouettes' boundary in pixels of the cameras; NaN without
+        correspondences.
     """
     positions = np.ascontiguousarray(np.moveaxis(forward(body, poses)[0], 2, 0))
     frames, joints = positions.shape[:2]
@@ -270,7 +271,7 @@ def silhouette_terms(body: ChainBody, poses: Poses, silhouettes: Silhouettes) ->
 
 
 def _position_terms(body: ChainBody, positions: F64, matrices: F64, vectors: F64) -> PriorTerms:
-    """Return the place terms of quadratics moveᵀ A move + 2 bᵀ move of the joints (T, J, 3)."""
+    """Return the position terms of quadratic forms xᵀ A x + 2 bᵀ x in the displacements x of joints (T, J, 3)."""
     values, axes = np.linalg.eigh(matrices)
     used = values > _MIN_EIGENVALUE * values[..., -1:].clip(min=1e-12)
     frames, joints, columns = np.nonzero(used)
@@ -289,7 +290,7 @@ def _position_terms(body: ChainBody, positions: F64, matrices: F64, vectors: F64
 
 
 def with_position_terms(terms: PriorTerms, others: PriorTerms) -> PriorTerms:
-    """Return terms with the place terms of others added, sorted by frame."""
+    """Add the position terms of `others` to terms, sorted by frame."""
     frames = np.concatenate([terms.place_frames, others.place_frames])
     order = np.argsort(frames, kind="stable")
     return replace(
@@ -310,19 +311,19 @@ def track_take_on_silhouettes(
     sigma_px: float = SIGMA_PX,
     passes: int = PASSES,
 ) -> TakeTrack:
-    """Track all frames of a take at once on silhouettes, with rays or places if there are any.
+    """Track all frames of a take at once on silhouettes, together with rays or joint positions if there are any.
 
     Parameters
     ----------
     observed : Observed
-        The body, and masks of T frames; rays or places as well, if there are any.
+        The body, masks of T frames, and optionally rays or joint positions.
     priors, loss, sigma_px
-        Those of `track_take`.
+        See `track_take`.
     start : Poses
-        Initial poses from a track on rays or places, or from the frame tracker; contours only find a boundary within
-        reach.
+        Initial poses from a track on rays or joint positions, or from the frame tracker. They must be good, because a
+        boundary is only searched near the contour.
     passes : int, optional
-        Number of times, 1 or more, that correspondences are computed and the take is solved.
+        The number of times, at least 1, that correspondences are computed and the take is solved.
 
     Returns
     -------
@@ -332,7 +333,7 @@ def track_take_on_silhouettes(
     Raises
     ------
     ParameterError
-        A number of frames differs, or `passes` is below 1.
+        Numbers of frames differ, or `passes` is below 1.
     """
     if passes < 1:
         raise ParameterError("passes", "1 or more", passes)

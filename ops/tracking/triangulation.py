@@ -16,13 +16,13 @@ MIN_CONFIDENCE = 0.3
 """Minimum confidence of a keypoint that is used in triangulation."""
 
 MAX_ERROR_PX = 20.0
-"""Greatest mean reprojection error in pixels of a valid point."""
+"""Maximum mean reprojection error in pixels of a valid point."""
 
 MAX_CAMERAS = 10
 """Maximum number of cameras for which all subsets are tried; with more, cameras are removed one by one."""
 
 START_SIGMA_M, START_STEPS = 0.05, 15
-"""Standard deviation of a point in metres, and the most steps, in the fit of the chain to the initial points."""
+"""Standard deviation of a point in metres, and maximum number of steps, when the chain is fitted to initial points."""
 
 # least relative eigenvalue of a point's matrix, which for two rays is half of the squared sine of their angle
 _FLAT = 1e-3
@@ -31,8 +31,9 @@ _FLAT = 1e-3
 def triangulate(rays: Rays) -> tuple[F64, I64]:
     """Triangulate every keypoint of every frame.
 
-    A point is the least-squares point of the rays, weighted by confidence. If its mean reprojection error exceeds
-    `MAX_ERROR_PX`, the best subset without one camera is tried, then without two, down to two cameras.
+    A point is the least-squares intersection of the rays, weighted by confidence. If its mean reprojection error
+    exceeds `MAX_ERROR_PX`, the best subset of the cameras without one camera is tried, then without two cameras, and so
+    on down to two cameras.
 
     Parameters
     ----------
@@ -42,9 +43,9 @@ def triangulate(rays: Rays) -> tuple[F64, I64]:
     Returns
     -------
     points : float64 array (T, P, 3)
-        Points in metres; NaN where there is none.
+        Points in metres; NaN if there is none.
     seen : int64 array (T, P)
-        The number of cameras from which the point was triangulated; 0 where there is none.
+        The number of cameras from which each point was triangulated; 0 if there is no point.
     """
     frames, _, count = rays.confidence.shape
     points, seen = np.full((frames, count, 3), np.nan), np.zeros((frames, count), np.int64)
@@ -118,7 +119,7 @@ def _choose(usable: I64, choice: int, left: int, chosen: Bool) -> bool:
 def _intersect(centres: F64, focal_px: F64, directions: F64, weights: F64, chosen: Bool, point: F64) -> float:
     """Compute the least-squares point of chosen rays, and return its mean reprojection error in pixels.
 
-    The error is infinite where the rays are parallel, or the point lies behind a camera.
+    The error is infinite if the rays are parallel, or if the point lies behind a camera.
     """
     a, b, c, d, e, f = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0  # the matrix (a b c; b d e; c e f) of the normal equations
     x, y, z, total = 0.0, 0.0, 0.0, 0.0
@@ -158,9 +159,10 @@ def _intersect(centres: F64, focal_px: F64, directions: F64, weights: F64, chose
 def start_from_triangulation(body: ChainBody, points: F64, body_points: BodyPoints) -> Poses:
     """Return initial poses for a track on rays.
 
-    Gaps of the points are filled linearly. Joints without a keypoint are derived from the others: root, belly, chest,
-    neck, head and headtop at their lengths along the line from the middle of the hips to the middle of the shoulders,
-    clavicles on the neck, fingers along the forearm. The chain is fitted to all of them.
+    Gaps of the points are filled linearly. Joints without a keypoint are derived from the others. Root, belly, chest,
+    neck, head and headtop are placed on the line from the middle of the hips to the middle of the shoulders, at
+    distances given by the bone lengths; clavicles are placed at the neck, and fingers in line with the forearm. The
+    chain is then fitted to all joints.
 
     Parameters
     ----------
@@ -197,7 +199,7 @@ def start_from_positions(body: ChainBody, observations: JointPositions) -> Poses
     body : ChainBody
         A body of the shipped chain's joints.
     observations : JointPositions
-        Positions of its joints.
+        Positions of the body's joints.
 
     Raises
     ------

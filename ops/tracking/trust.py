@@ -1,8 +1,9 @@
 """This module judges which keypoints and nodes are reliable, and restarts tracks where they are not.
 
-Leg keypoints whose sides a camera confuses are exchanged, where this agrees with the poses of a track. A detector that
-takes the left leg for the right one reports both with full confidence. Compared with poses that do not depend on these
-keypoints (interpolated, or from a prior), the exchanged keypoints fit and the reported ones do not.
+It also exchanges left and right leg keypoints if a camera has confused them. A detector that takes the left leg for the
+right leg reports both with full confidence. To detect this, the keypoints are compared with poses that do not depend on
+them, which are interpolated or come from a prior: the exchanged keypoints match such poses, but the reported ones do
+not.
 """
 
 from __future__ import annotations
@@ -19,13 +20,13 @@ from kinedex.ops.tracking.observations import MIN_CONFIDENCE, BodyPoints, JointP
 from kinedex.ops.tracking.rays import MIN_DEPTH_M, SIGMA_PX, Evidence, make_evidence
 
 TRUST_WIDTH = 3.0
-"""The width c of the robust loss whose weights give trust."""
+"""The width c of the robust loss whose weights measure the reliability of keypoints."""
 
 SEEN = 1.2
 """Minimum sum of confidence times robust weight over cameras for a keypoint to count as seen in a frame."""
 
 AGREEMENT = 0.6
-"""Share of a keypoint's confidence that robust weights must leave, or it is contested between cameras."""
+"""Minimum ratio of Σ conf · ω to Σ conf of a keypoint; below it the cameras contradict each other."""
 
 NEEDED = {
     "hip": ("hip", "knee", "ankle"),
@@ -35,29 +36,30 @@ NEEDED = {
     "elbow": ("elbow", "wrist"),
     "wrist": ("wrist",),
 }
-"""The joints of a side that must be seen for a node of this side to count as seen; nodes not listed always do."""
+"""The joints of a side that must be seen for a node of this side to count as seen; other nodes always count as seen."""
 
 LEG = ("hip", "knee", "ankle", "toes")
 """The joints of a leg, whose keypoints are exchanged together."""
 
 CLEARLY = 0.8
-"""Ratio of costs, exchanged to reported, below which keypoints are exchanged."""
+"""Ratio of the costs of exchanged and reported keypoints below which keypoints are exchanged."""
 
 _WIDTH = 3.0  # the width c of the robust loss
 
 
 @dataclass(frozen=True, eq=False)
 class Trust:
-    """Trust in the observations of a track, by keypoint and node.
+    """The reliability of the observations of a track, by keypoint and by node.
 
     Attributes
     ----------
     keypoints : float64 array (T, P)
-        κ = Σ conf · ω over the cameras; 0 where the keypoint is contested. For places it is 2 ω.
+        κ = Σ conf · ω over the cameras, with the robust weights ω; 0 if the keypoint is contested. For joint positions
+        it is 2 ω.
     contested : bool array (T, P)
-        True where the cameras disagree.
+        True if the cameras contradict each other.
     nodes_seen : bool array (T, K)
-        True where the joints that a node needs (`NEEDED`) are seen.
+        True if the joints that a node needs (`NEEDED`) are seen.
     """
 
     keypoints: F64
@@ -98,7 +100,7 @@ def trust(
 
 @njit(cache=True, nogil=True)
 def _sums(chain: ChainArrays, evidence: Evidence, positions: F64, rotations: F64, agreed: F64, given: F64) -> None:
-    """Compute Σ conf · ω and Σ conf of every keypoint; a place counts like two cameras."""
+    """Compute Σ conf · ω and Σ conf of every keypoint; a joint position counts like two cameras."""
     buffers = frame_buffers(chain, evidence)
     agreed[:], given[:] = 0.0, 0.0
     for t in range(len(positions)):
@@ -139,8 +141,8 @@ def _nodes_seen(body: ChainBody, joints: I64, seen: Bool) -> Bool:
 def restart(body: ChainBody, poses: Poses, nodes_seen: Bool) -> Poses:
     """Return initial poses for tracking again, with unseen nodes interpolated, and the pelvis if neither hip is seen.
 
-    A solver converges near its start; where cameras contradict each other, or too few of them see a limb, a start
-    interpolated from neighbouring frames is better than one from these observations.
+    A solver converges to a solution near its start. If cameras contradict each other, or too few cameras see a limb, a
+    start that is interpolated from neighbouring frames is better than one from the observations.
 
     Parameters
     ----------
@@ -149,14 +151,14 @@ def restart(body: ChainBody, poses: Poses, nodes_seen: Bool) -> Poses:
     poses : Poses
         The track, T poses.
     nodes_seen : bool array (T, K)
-        True where a node is seen, see `Trust`.
+        True if a node is seen, see `Trust`.
 
     Returns
     -------
     Poses
-        The poses, with the rotations of unseen nodes, and the position of the body if the pelvis is unseen,
-        interpolated between the nearest frames before and after in which the node is seen, and constant before the
-        first and after the last of these.
+        The poses with interpolated values. The rotation of an unseen node is interpolated between the nearest frames
+        before and after in which the node is seen, and constant before the first and after the last such frame. The
+        position of the body is interpolated likewise if the pelvis is unseen.
     """
     nodes = body.chain.nodes
     known = nodes_seen.copy()
@@ -172,7 +174,7 @@ def interpolated(poses: Poses, known: Bool) -> Poses:
     poses : Poses
         T poses of K nodes.
     known : bool array (T, K)
-        True where a rotation is kept. A node that is known in no frame is not changed.
+        True if a rotation is kept. A node that is known in no frame is not changed.
     """
     positions, rotations = poses.positions.copy(), poses.rotations.copy()
     for k in range(known.shape[1]):
@@ -198,16 +200,16 @@ def exchanged_sides(
     poses: Poses,
     sigma_px: float = SIGMA_PX,
 ) -> Rays | JointPositions:
-    """Return rays with the legs exchanged in each frame and camera where this fits the poses clearly better.
+    """Return rays with the legs exchanged in each frame and camera in which this matches the poses clearly better.
 
     Parameters
     ----------
     body : ChainBody
         A body of the shipped chain's joints.
     observations : Rays or JointPositions
-        The observations of T frames; places are returned unchanged.
+        The observations of T frames; joint positions are returned unchanged.
     points : BodyPoints or None
-        The points that rays observe; only joints of the legs are exchanged. None for places.
+        The points that rays observe, of which only joints of the legs are exchanged; None for joint positions.
     poses : Poses
         T poses.
     sigma_px : float, optional
@@ -231,7 +233,7 @@ def exchanged_sides(
 
 
 def _places(body: ChainBody, points: BodyPoints, poses: Poses, chosen: I64) -> F64:
-    """Return the positions (T, L, 3) of some points of the body."""
+    """Return the positions (T, L, 3) of the chosen points of the body."""
     positions, turned = forward(body, poses)
     nodes = points.nodes[chosen]
     centres = positions[np.array(body.chain.centres)[nodes]].transpose(2, 0, 1)

@@ -1,6 +1,6 @@
-"""This module represents calibrated cameras as arrays, for the computation of contours and masks.
+"""This module represents calibrated cameras as arrays, and renders the mask of a body in a camera.
 
-The mask of a body in a camera has the pixels whose rays meet one of its capsules.
+The mask consists of the pixels whose rays meet a capsule of the body.
 """
 
 from __future__ import annotations
@@ -32,17 +32,17 @@ class View(NamedTuple):
     matrix : float64 array (3, 3)
         Focal lengths and principal point in pixels of the camera.
     distortion : float64 array (8,)
-        Distortion in OpenCV's order, filled up with 0.
+        Distortion coefficients in OpenCV's order, padded with 0.
     rotation, translation : float64 array (3, 3), (3,)
-        From the world to the camera, in metres.
+        The transformation from the world to the camera, in metres.
     centre : float64 array (3,)
         Centre of the camera in the world, in metres.
     plane : float32 array (H, W, 2)
-        x/z and y/z of the ray of each pixel of the mask in the camera's axes; NaN where no ray falls on it.
+        x/z and y/z of the ray of each pixel of the mask in the camera's axes; NaN if no ray maps to the pixel.
     extent : float64 array (4,)
-        Least x/z and y/z, greatest x/z and y/z of the raster.
+        Smallest x/z and y/z, and largest x/z and y/z, of all pixels of the mask.
     scale : float
-        Pixels of the camera in one of the mask.
+        Width of a pixel of the mask in pixels of the camera.
     reach : float
         Largest distance of a boundary from a contour point, in pixels of the mask.
     """
@@ -74,13 +74,14 @@ def camera_view(
     matrix : float64 array (3, 3)
         Focal lengths and principal point in pixels.
     rotation, translation : float64 array (3, 3), (3,)
-        From the world to the camera, in metres.
+        The transformation from the world to the camera, in metres.
     distortion : float64 array (0,), (4,), (5,) or (8,)
-        Distortion in OpenCV's order.
+        Distortion coefficients in OpenCV's order.
     size : (int, int)
         Width and height of the image in pixels.
     mask_size : (int, int), optional
-        Width and height of the masks, those of the image divided by the same integer; by default those of the image.
+        Width and height of the masks, which are those of the image divided by the same integer; by default the size of
+        the image.
     reach_px : float, optional
         Largest distance of a boundary from a contour point, in pixels of an image that is 1280 wide.
 
@@ -92,7 +93,7 @@ def camera_view(
     Raises
     ------
     ParameterError
-        The size of the image is no integer multiple of the masks', or an array has the wrong shape.
+        The size of the image is not an integer multiple of the masks' size, or an array has the wrong shape.
     """
     width, height = mask_size or size
     scale = size[0] // width if width > 0 else 0
@@ -145,7 +146,7 @@ def seen_joints(view: View, joints: F64, seen: F64) -> None:
 def sphere_interval(across: float, depth: float, radius: float) -> tuple[float, float]:
     """Return the smallest and the largest x/z of a sphere with its centre at x = across, z = depth.
 
-    It is (−∞, ∞) for a sphere that reaches the plane of the camera.
+    The result is (−∞, ∞) if the sphere reaches the plane z = 0 of the camera.
     """
     if depth <= radius:
         return -np.inf, np.inf
@@ -156,7 +157,7 @@ def sphere_interval(across: float, depth: float, radius: float) -> tuple[float, 
 
 @njit(cache=True, nogil=True)
 def capsule_box(one: F64, other: F64, radius: float, box: F64) -> None:
-    """Write the least x/z and y/z and the greatest x/z and y/z of a capsule in a camera's axes into the last array."""
+    """Write the smallest x/z and y/z and the largest x/z and y/z of a capsule in a camera's axes to the last array."""
     for i in range(2):
         low, high = sphere_interval(one[i], one[2], radius)
         low_other, high_other = sphere_interval(other[i], other[2], radius)
@@ -167,7 +168,7 @@ def capsule_box(one: F64, other: F64, radius: float, box: F64) -> None:
 def ray_distance(one: F64, other: F64, x: float, y: float) -> float:
     """Return the squared distance of the ray (x, y, 1) of a camera from a segment, both in the camera's axes.
 
-    It is infinite where the ray is nearest to the segment behind the camera.
+    The distance is infinite if the point of the line that is nearest to the segment lies behind the camera.
     """
     norm = x * x + y * y + 1.0
     first = one[0] * x + one[1] * y + one[2]
@@ -200,7 +201,7 @@ def render_mask(capsules: Capsules, joints: F64, view: View) -> Bool:
     Returns
     -------
     bool array (H, W)
-        True where the ray of a pixel meets the body before the camera.
+        True if the ray of a pixel meets the body in front of the camera.
     """
     if joints.ndim != 2 or joints.shape[1] != 3 or len(joints) <= max(capsules.starts.max(), capsules.ends.max()):
         raise ParameterError("joints", "of shape (J, 3), with all joints of the capsules", joints.shape)
