@@ -97,7 +97,7 @@ class EntriesFile(Generic[Entry]):
         return self.located.path.parent
 
     def entry(self, name: str) -> Entry:
-        """Return a recording; a ConfigError names the nearest one where there is none of this name."""
+        """Return the recording with a name; raise a ConfigError that suggests the nearest name if there is none."""
         if name not in self.recordings:
             raise self.located.error(f"no recording is called '{name}'{did_you_mean(name, self.recordings)}", _KEY)
         return self.recordings[name]

@@ -33,7 +33,7 @@ class Camera:
     Attributes
     ----------
     name : str
-        Its name in the calibration.
+        The name of the camera in the calibration.
     matrix : float64 array (3, 3)
         [[fx, skew, cx], [0, fy, cy], [0, 0, 1]], in pixels.
     distortion : float64 array (0,), (4,), (5,) or (8,)

@@ -29,9 +29,9 @@ class MotionClass:
     Attributes
     ----------
     name, description : str
-        Its name and its description.
+        The name and the description of the class.
     subclasses : tuple of str
-        Its subclasses.
+        The names of its subclasses.
     locomotion : bool
         True if the body moves forwards in this class, so that a fast foot can be assumed to move forwards too.
     marks : tuple of MarkEdit

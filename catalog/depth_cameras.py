@@ -61,7 +61,7 @@ class DepthCamera:
     size : tuple of (int, int)
         Width and height of its images in pixels.
     depth_unit_m : float
-        Metres of one unit of integer images.
+        The number of metres of one unit of integer images.
     rate_hz : float, optional
         Frames per second.
     is_range : bool

@@ -48,7 +48,7 @@ class DepthEntry(BaseModel):
     rate_hz : float, optional
         Frames per second; required if neither camera nor frames state them.
     depth_unit_m : float, optional
-        Metres of one unit of depth, which overrides the unit of the camera.
+        The number of metres of one unit of depth, which overrides the unit of the camera.
     body : str, optional
         A take of the store with the bone lengths of the person, or `estimate`; it overrides the stage's `body`.
     truth : str, optional

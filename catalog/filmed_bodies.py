@@ -83,7 +83,7 @@ class FilmedBody:
     Attributes
     ----------
     name : str
-        Its name.
+        The name of the body.
     body : ConeBody
         The body that is fitted to depth images. Flesh covers its cones, and the standing height is taken from it.
     flesh : Flesh

@@ -24,9 +24,9 @@ class Figure:
     type : str
         The type of the column.
     unit : str
-        Its unit; empty for shares and texts.
+        The unit of the figure; empty for shares and texts.
     meaning : str
-        Its description.
+        The description of the figure.
     low, high : float or None
         The limits; None if there is no limit on that side.
     source : str

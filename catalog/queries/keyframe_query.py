@@ -235,7 +235,7 @@ def restricted_query(query: KeyframeQuery, feature_set: FeatureSet, known: int) 
     query : KeyframeQuery
         The query for whole bodies.
     feature_set : FeatureSet
-        Its features.
+        The features of the query.
     known : int
         The mask of the known features, with the bits of a word.
 

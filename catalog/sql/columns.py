@@ -23,15 +23,15 @@ class View:
     Attributes
     ----------
     name : str
-        Its name.
+        The name of the view.
     origin : str
         The source of its rows: "index" (a table of the published index), "parts" (the store's Parquet files), "results"
         (Parquet files of the current pipeline), "pipelines" (the manifest), "labels" (labels given by people) or
         "derived" (other views, selected by `body`).
     summary : str
-        Its purpose in one sentence.
+        The purpose of the view in one sentence.
     columns : tuple of Column
-        Its columns.
+        The columns of the view.
     example : str
         A query that runs on any store.
     body : str
@@ -84,7 +84,7 @@ def result_view(name: str, summary: str, text: str, example: str, stages: str = 
     name : str
         The kind of results, which is the name of the view.
     summary : str
-        Its purpose in one sentence.
+        The purpose of the view in one sentence.
     text : str
         Its columns, a line for each: name, DuckDB type and meaning, with two spaces or more between them. The column
         `run`, which comes first, is added.

@@ -14,13 +14,13 @@ class Macro:
     Attributes
     ----------
     name : str
-        Its name.
+        The name of the macro.
     arguments : tuple of (str, str or None, str)
         The name, default and meaning of each argument; the default is None for a required argument.
     summary : str
-        Its purpose in one sentence.
+        The purpose of the macro in one sentence.
     body : str
-        Its SQL.
+        The SQL of the macro.
     example : str
         A query that runs on any store.
     table : bool

@@ -1,8 +1,9 @@
-"""These kernels do the dynamic programming of `decoding`: a forward pass over all frames, and the backtracking.
+"""These kernels perform the dynamic programming of `decoding`: a forward pass over all frames, and the backtracking.
 
-The columns of all templates lie end to end, `MAX_STEP` empty ones before each template, so that one loop without
-branches covers all of them. The log ratios of a frame are those of the frame before it, changed by the few features
-that changed; they are recomputed from time to time, so that rounding errors do not accumulate.
+The columns of all templates are concatenated, with `MAX_STEP` empty columns before each template, so that one loop
+without branches covers all templates. The log ratios of a frame are computed from those of the previous frame by adding
+the differences of the few features that changed. They are recomputed in full from time to time, so that rounding errors
+do not accumulate.
 """
 
 from __future__ import annotations
@@ -84,18 +85,19 @@ def forwards(
     costs : Costs
         The costs of an explanation.
     allowed : bool array (T, L) or (T, 0)
-        The frames in which each template may be; without frames: everywhere.
+        The frames in which each template may occur; if the array has no frames, templates may occur everywhere.
     changes : int64 array
-        The frames in which `allowed` differs from the frame before, ascending, the first of them 0 and the last L.
+        The frames in which `allowed` differs from the previous frame, ascending; the first is 0 and the last is L.
     origins : int64 array
-        For each of them but the last, the frame from which log ratios are summed; two frames before it at the latest.
+        For each change but the last, the frame from which log ratios are computed, at least two frames before the
+        change.
 
     Returns
     -------
     value : float64 array (L + 1,)
         The greatest value of an explanation of the frames before each frame.
     winner : int64 array (L + 1,)
-        The template whose segment ends before a frame, or −1.
+        The template whose segment ends before each frame in the best explanation; −1 for background.
     """
     count = len(frames.words)
     value, winner = np.zeros(count + 1), np.full(count + 1, -1, np.int64)
@@ -117,7 +119,8 @@ def forwards(
 def recomputed_at(words: U64) -> I64:
     """Return for each frame the last frame, up to it, at which its log ratios are recomputed in full (kernel).
 
-    Started there, `advance` computes the same log ratios as from the beginning of the take, to the last bit.
+    If `advance` starts in this frame, it computes the same log ratios as from the beginning of the take, to the last
+    bit.
     """
     result = np.zeros(len(words), np.int64)
     changed, last = _ANEW, 0
@@ -185,7 +188,7 @@ def advance(
     frames : Frames
         The frames of the take.
     origin : int
-        The frame from which log ratios are summed.
+        The frame from which log ratios are computed.
     start, stop : int
         The half-open range of frames.
     columns : Columns
@@ -193,9 +196,9 @@ def advance(
     costs : Costs
         The costs of an explanation.
     active : bool array (T,)
-        True for the templates that may be in these frames.
+        True for the templates that may occur in these frames.
     scores : float64 array (4, C)
-        The best value in each column in frame f, in row f mod 4.
+        The best value of a path to each column in frame f, in row f mod 4.
     rows : float64 array (4, C)
         Memory for log ratios.
     value, winner : array (L + 1,)
@@ -249,7 +252,7 @@ def advance(
 
 @nb.njit(cache=True, nogil=True)
 def _spans(columns: Columns, active: Bool) -> list[tuple[int, int]]:
-    """Return the column ranges of active templates, neighbours merged, each with the empty columns before it."""
+    """Return the column ranges of active templates with the empty columns before them; adjacent ranges are merged."""
     found = [(0, 0)]
     for template in range(len(active)):
         if active[template]:
@@ -291,11 +294,11 @@ def change_ratios(
     row : float64 or float32 array
         The results, for the columns from the first on.
     before : float64 or float32 array
-        Those of the word before.
+        The log ratios of the previous word.
     old, new : uint64
-        The word before, and the word.
+        The previous word, and the word.
     difference : float
-        The offset of the frame less that of the frame before.
+        The offset of the frame minus that of the previous frame.
     slopes : float64 or float32 array (f, C)
         See `Columns`.
     first : int
@@ -321,7 +324,7 @@ def change_ratios(
 
 @nb.njit(cache=True, nogil=True)
 def step(here: F64, now: F64, once: F64, twice: F64, last: F64, second: F64, third: F64, skip: float) -> None:
-    """Fill in the best value of every column but the first three, from the frames before (without branches).
+    """Fill in the best value of every column but the first three, from the previous frames, without branches.
 
     Parameters
     ----------
@@ -330,7 +333,7 @@ def step(here: F64, now: F64, once: F64, twice: F64, last: F64, second: F64, thi
     now, once, twice : float64 or float32 array
         Log ratios in this frame and the two before it, without the first three columns.
     last, second, third : float64 or float32 array
-        Values in the three frames before it.
+        Best values in the three previous frames.
     skip : float
         The cost of a skipped column.
     """
@@ -358,7 +361,7 @@ def backwards(
     frames, columns, costs, allowed
         As in `forwards`.
     value, winner : array (L + 1,)
-        From `forwards`.
+        The result of `forwards`.
     """
     found = [(0, 0, 0)]
     at = len(frames.words)
@@ -376,8 +379,8 @@ def backwards(
 def _begin(frames: Frames, columns: Columns, costs: Costs, allowed: Bool, value: F64, template: int, stop: int) -> int:
     """Return the first frame of a template's segment that ends before `stop`.
 
-    The values of columns are not kept in the pass over all templates; the segment's own template is computed again, in
-    a window that grows until it contains a segment of the known value.
+    The forward pass over all templates does not keep the values of columns. Therefore the values of this template are
+    computed again, in a window that grows until it contains a segment of the known value.
     """
     first, length = columns.firsts[template], columns.lengths[template]
     window = 2 * length

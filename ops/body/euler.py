@@ -16,7 +16,7 @@ def matrices_of(angles: F64, order: str) -> F64:
     Parameters
     ----------
     angles : float64 array (T, n)
-        Radians, in the order of the axes.
+        Angles in radians, in the order of the axes.
     order : str
         n letters of XYZ: "ZXY" is Rz · Rx · Ry.
     """
@@ -49,7 +49,7 @@ def euler_angles(matrices: F64, order: str, near: F64 | None = None) -> F64:
     Returns
     -------
     float64 array (T, 3)
-        Radians, in the order of the axes; the angles are unwrapped and may exceed 2π.
+        Angles in radians, in the order of the axes; they are unwrapped and may exceed 2π.
 
     Raises
     ------

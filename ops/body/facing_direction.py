@@ -54,7 +54,7 @@ def turn_about_y(positions: F64, yaw: float) -> F64:
     positions : float64 array (…, 3)
         Positions or directions.
     yaw : float
-        Radians.
+        The angle in radians.
     """
     cosine, sine = math.cos(yaw), math.sin(yaw)
     x, y, z = np.moveaxis(positions, -1, 0)
@@ -67,7 +67,7 @@ def start_at_origin(positions: F64, placement: Placement) -> F64:
     Parameters
     ----------
     positions : float64 array (…, 3)
-        Metres, Y up.
+        Positions in metres, Y up.
     placement : Placement
         The body's placement before this transformation.
     """

@@ -236,7 +236,7 @@ def frame_words(
     Parameters
     ----------
     positions : float64 array (J, 3, T)
-        In metres, Y up.
+        Joint positions in metres, Y up.
     orientation : float64 array (4, T)
         The root's unit quaternion.
     rate_hz : float

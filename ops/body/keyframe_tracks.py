@@ -36,11 +36,11 @@ def sample_track(times: F64, values: F64, at: F64, interpolation: str, turns: bo
     Parameters
     ----------
     times : float64 array (K,)
-        Seconds of the keys, ascending.
+        Times of the keys in seconds, ascending.
     values : float64 array (K, C) or (3 K, C)
         Values of the keys; for "CUBICSPLINE" the incoming tangent, value and outgoing tangent of each key, as in glTF.
     at : float64 array (T,)
-        Seconds of the samples.
+        Times of the samples in seconds.
     interpolation : str
         "STEP", "LINEAR" or "CUBICSPLINE".
     turns : bool
@@ -98,7 +98,7 @@ def likely_rate(times: F64) -> tuple[float, bool]:
     Parameters
     ----------
     times : float64 array (K,)
-        Seconds of all keys, ascending.
+        Times of all keys in seconds, ascending.
 
     Returns
     -------
@@ -123,7 +123,7 @@ class Curve:
     Attributes
     ----------
     times : float64 array (K,)
-        Seconds of the keys, ascending.
+        Times of the keys in seconds, ascending.
     values : float64 array (K,)
         The values of the keys.
     flags : int64 array (K,), optional

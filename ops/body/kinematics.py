@@ -26,7 +26,7 @@ two, because rows at such distances would compete for a few lines of the first-l
 """
 
 LARGEST = 1e6
-"""The greatest angle in radians for which `sincos` is accurate; beyond it, the reduction by turns loses digits."""
+"""The largest angle in radians for which `sincos` is accurate; for larger angles, the range reduction loses digits."""
 
 # A quarter turn in three pieces. The first two have 33 bits, so that their products with a count of quarter turns below
 # 2**20 are exact (Cody and Waite, "Software Manual for the Elementary Functions", 1980).

@@ -43,7 +43,7 @@ def resample(
     Parameters
     ----------
     positions : float64 array (J, 3, T)
-        Metres.
+        Joint positions in metres.
     orientation : float64 array (4, T)
         Unit quaternions.
     source_rate_hz, rate_hz : float

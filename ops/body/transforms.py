@@ -39,7 +39,7 @@ def slerp(first: F64, second: F64, share: F64) -> F64:
     first, second : float64 array (T, 4)
         Unit quaternions, in any order of components.
     share : float64 array (T,)
-        From 0 (the first) to 1 (the second).
+        Numbers from 0 (the first quaternion) to 1 (the second).
     """
     cosine = np.einsum("ta,ta->t", first, second)
     second = np.where(cosine[:, None] < 0, -second, second)

@@ -1,4 +1,4 @@
-"""This module finds the floor of an empty room: the largest nearly level plane below the camera.
+"""This module finds the floor of an empty room, which is the largest nearly level plane below the camera.
 
 Points have the axes x right, y up and z backward, with the camera at the origin and not yet rotated upright.
 """

@@ -54,7 +54,7 @@ class FrameImage(NamedTuple):
     pixels : int32 array (n, 2)
         Column and row of each point in the strided image.
     numbers : int32 array (h, w)
-        The point of each pixel; −1 where there is none.
+        The index of the point of each pixel; −1 for a pixel without a point.
     nearest : int32 array (h, w)
         For each pixel of the box, the point of the nearest pixel that has a point.
     box : int64 array (4,)

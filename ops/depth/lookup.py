@@ -186,7 +186,7 @@ class Lookup:
         every : bool, optional
             True to try all assignments of the five end effectors to the first five extrema, and no others.
         turn_deg : float, optional
-            Degrees by which the facing direction is rotated, from Z towards X.
+            The angle in degrees by which the facing direction is rotated, from Z towards X.
 
         Returns
         -------

@@ -37,7 +37,7 @@ def nearest_pixels(numbers: I32, box: tuple[int, int, int, int], buffers: Neares
     Parameters
     ----------
     numbers : int32 array (h, w)
-        The point of each pixel; −1 where there is none.
+        The index of the point of each pixel; −1 for a pixel without a point.
     box : (int, int, int, int)
         The bounding box of all points: first column, first row, and the column and the row after the last.
     buffers : NearestBuffers, optional

@@ -1,4 +1,4 @@
-"""This module turns a depth image into the points of the person (thesis, Section 8.3.1).
+"""This module converts a depth image to the points of the person (thesis, Section 8.3.1).
 
 The axes of points are x right, y up and z backward, with the camera at the origin, after a rotation that makes +Y up.
 """
@@ -43,7 +43,7 @@ class FrameCloud(NamedTuple):
     pixels : int32 array (n, 2)
         Column and row of each point in the strided image.
     numbers : int32 array (h, w)
-        The point of each pixel; −1 where there is none.
+        The index of the point of each pixel; −1 for a pixel without a point.
     depth : float32 array (h, w)
         The cleaned depths in metres; 0 where there is no point.
     box : (int, int, int, int)

@@ -227,7 +227,7 @@ class PoseThinning:
         Returns
         -------
         int64 array (T,)
-            For each pose the index of the kept pose near it, which is its own if it was kept.
+            For each pose the index of the kept pose near it, which is the pose itself if it was kept.
         """
         poses = self._compared(directions)
         while self.count + len(poses) > len(self._table.kept):

@@ -162,7 +162,7 @@ def _weight_groups(template: QuantisedTemplate) -> tuple[U64, F64]:
 
 
 def _total_weights(masks: U64, weights: F64) -> F64:
-    """Return the weight of all fixed bits of each column, 1 where there is none."""
+    """Return the total weight of all fixed bits of each column, 1 for a column without fixed bits."""
     total: F64 = (weights * np.bitwise_count(masks)).sum(axis=0)
     total[total == 0] = 1.0
     return total
@@ -355,7 +355,7 @@ def fill_bounds(vocabulary: U64, columns: TemplateColumns, cap: int, needed: Boo
     vocabulary : uint64 array (W,)
         The different words, see `CodedWords`.
     columns : TemplateColumns
-        Their weights in units, see `in_units`.
+        The columns with weights in units, see `in_units`.
     cap : int
         The greatest bound.
     needed : bool array (W,)

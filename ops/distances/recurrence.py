@@ -59,7 +59,7 @@ def coarse_path_cost(straight, slow, fast, cost):  # type: ignore[no-untyped-def
 def step_back(sums: F64, frame: int, n: int, cost: float) -> tuple[int, int]:
     """Return the numbers of frames and columns that the last step of the cheapest path to a cell spans (kernel).
 
-    Of equally cheap steps the first of (1,1), (1,2), (2,1) is taken.
+    Of equally cheap steps, the first in the order (1,1), (1,2), (2,1) is chosen.
 
     Parameters
     ----------

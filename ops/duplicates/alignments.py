@@ -298,7 +298,7 @@ def word_differences(words: U64, offsets: I64, mirrored: U64 | None, found: Alig
     Parameters
     ----------
     words : uint64 array (L,)
-        The words of all takes laid end to end; `NO_WORD` in invalid frames.
+        The concatenated words of all takes; `NO_WORD` in invalid frames.
     offsets : int64 array (T + 1,)
         Take i has the words offsets[i] to offsets[i + 1].
     mirrored : uint64 array (L,), optional

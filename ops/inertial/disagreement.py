@@ -55,9 +55,9 @@ def frame_errors(sensor: F64, track: F64, q_global: F64, q_mount: F64, axis: F64
     track : float64 array (T, 4)
         Orientations of the limb, segment → the take's world.
     q_global : float64 array (4,)
-        F_GI → the take's world.
+        The rotation F_GI → the take's world.
     q_mount : float64 array (4,)
-        Sensor → segment.
+        The rotation sensor → segment.
     axis : float64 array (3,)
         The limb's long axis in the segment's axes, of any length but 0.
 
@@ -168,7 +168,7 @@ def direction_errors(sensor: F64, directions: F64, q_global: F64, direction: F64
     Returns
     -------
     float64 array (T,)
-        Degrees, 0 to 180: a swing, since the twist is unknown.
+        Angles in degrees, 0 to 180. They are swings only, since the twist is unknown.
     """
     reported = rotate(multiply(q_global, sensor), direction)
     across = np.linalg.norm(np.cross(reported, directions), axis=-1)

@@ -96,9 +96,9 @@ def fit_drift(times: F64, headings: F64) -> HeadingDrift:
     Parameters
     ----------
     times : float64 array (T,)
-        Seconds of the take, ascending.
+        Times of the take in seconds, ascending.
     headings : float64 array (T,)
-        Degrees; see `heading_deg`. Values beyond 25° are ignored.
+        Heading errors in degrees, see `heading_deg`. Values beyond 25° are ignored.
 
     Returns
     -------
@@ -148,7 +148,7 @@ class Stream:
     take : str
         The take, for messages.
     times : float64 array (T,)
-        Seconds of the take.
+        Times of the frames in seconds of the take.
     sensor : float64 array (T, 4)
         Orientations of the sensor at these times, sensor → F_GI; NaN where unknown.
     track : float64 array (T, 4)

@@ -25,7 +25,7 @@ def compare_with_orientation(times: F64, gyr: F64, quaternions: F64) -> tuple[fl
     Parameters
     ----------
     times : float64 array (T,)
-        Seconds, ascending.
+        Times of the samples in seconds, ascending.
     gyr : float64 array (T, 3)
         Angular velocity in the sensor's axes.
     quaternions : float64 array (T, 4)
@@ -46,7 +46,7 @@ def compare_with_gravity(times: F64, acc: F64, gyr: F64) -> tuple[float, float, 
     Parameters
     ----------
     times : float64 array (T,)
-        Seconds, ascending.
+        Times of the samples in seconds, ascending.
     acc, gyr : float64 array (T, 3)
         Specific force in any unit, and angular velocity.
 
@@ -108,7 +108,7 @@ def rests(
     Parameters
     ----------
     times : float64 array (T,)
-        Seconds.
+        Times of the samples in seconds.
     rate_hz : float
         Samples per second.
     acc, gyr : float64 array (T, 3) or None
@@ -143,7 +143,7 @@ def bridge(times: F64, values: F64, longest_gap_s: float) -> F64:
     Parameters
     ----------
     times : float64 array (T,)
-        Seconds, ascending.
+        Times of the samples in seconds, ascending.
     values : float64 array (T, 3) or (T, 4)
         Vectors, or unit quaternions; a row with a NaN is missing.
     longest_gap_s : float

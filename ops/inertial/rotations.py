@@ -135,7 +135,7 @@ def interpolate(times: F64, quaternions: F64, at: F64, longest_gap_s: float = LO
     Parameters
     ----------
     times : float64 array (T,)
-        Seconds, ascending.
+        Times in seconds, ascending.
     quaternions : float64 array (T, 4)
         Unit quaternions; NaN where nothing was measured.
     at : float64 array (N,)
@@ -178,7 +178,7 @@ def angular_speed(times: F64, quaternions: F64) -> tuple[F64, F64]:
     Parameters
     ----------
     times : float64 array (T,)
-        Seconds, ascending.
+        Times in seconds, ascending.
     quaternions : float64 array (T, 4)
         Unit quaternions; NaN where unknown.
 

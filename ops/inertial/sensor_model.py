@@ -104,7 +104,7 @@ def sensor_motion(
     Parameters
     ----------
     times : float64 array (T,)
-        Seconds of the limb's frames, evenly spaced.
+        Times of the limb's frames in seconds, evenly spaced.
     position : float64 array (T, 3)
         A point of the limb in metres, in the take's world.
     orientation : float64 array (T, 4)
@@ -183,7 +183,7 @@ def gyroscope_rates(orientation: F64, rate_hz: float) -> F64:
     Returns
     -------
     float64 array (N, 3)
-        Radians per second; 0 in the first sample.
+        Angular velocities in radians per second; 0 in the first sample.
     """
     rates = np.zeros((len(orientation), 3))
     rates[1:] = log(multiply(conjugate(orientation[:-1]), orientation[1:])) * rate_hz

@@ -41,9 +41,10 @@ class Speeds(NamedTuple):
     Attributes
     ----------
     take_times, take : float64 array (T,)
-        Seconds of the take, ascending, and rad/s; NaN where unknown. See `rotations.angular_speed`.
+        Times of the take in seconds, ascending, and angular speeds in rad/s (`rotations.angular_speed`); NaN if
+        unknown.
     sensor_times, sensor : float64 array (N,)
-        Seconds of the sensor's clock, ascending, and rad/s; NaN where unknown.
+        Times of the sensor's clock in seconds, ascending, and angular speeds in rad/s; NaN if unknown.
     """
 
     take_times: F64
@@ -79,11 +80,11 @@ class FineSearch(NamedTuple):
     Attributes
     ----------
     take_times : float64 array (T,)
-        Seconds of the take, ascending.
+        Times of the take in seconds, ascending.
     predicted : float64 array (T, 4)
         q̄_G ∘ q_T ∘ q_L of valid frames, with the sensor's heading drift included.
     sensor_times : float64 array (N,)
-        Seconds of the sensor's clock, ascending.
+        Times of the sensor's clock in seconds, ascending.
     sensor : float64 array (N, 4)
         The sensor's orientations, all of them known.
     """
@@ -100,7 +101,7 @@ def sensor_speed(times: F64, gyr: F64 | None, orientation: F64 | None) -> tuple[
     Parameters
     ----------
     times : float64 array (T,)
-        Seconds, ascending.
+        Times in seconds, ascending.
     gyr : float64 array (T, 3) or None
         Angular velocity in rad/s; NaN where unknown.
     orientation : float64 array (T, 4) or None

@@ -182,7 +182,7 @@ class Trait:
     share : float
         The mean, over the cluster's points, of the fraction of frames in which the feature is on.
     rest : float
-        The same mean over all other points.
+        The mean of this fraction over all other points.
     """
 
     feature: int

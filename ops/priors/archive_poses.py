@@ -22,10 +22,10 @@ from kinedex.ops.templates.warping import align
 from kinedex.ops.words import NO_WORD, bits
 
 MIN_SEEN_S = 5 / 30
-"""Minimum time in seconds that a node must be seen in a hit for the actor's own deviation to be measured."""
+"""Minimum time in seconds for which a node must be seen in a hit to measure the actor's deviation."""
 
 FULL_SEEN_S = 0.5
-"""Time in seconds of a node seen in a hit from which the actor's own deviation has its full weight."""
+"""Time in seconds for which a node must be seen in a hit for the actor's deviation to have its full weight."""
 
 
 class PoseTable(NamedTuple):

@@ -461,9 +461,9 @@ class TrackState:
     body : ChainBody
         The body.
     poses : Poses
-        Its poses.
+        The poses of the body.
     positions : float64 array (J, 3, T)
-        Its joints in metres, Y up.
+        The joints of the body in metres, Y up.
     nodes_seen : bool array (T, K)
         The nodes whose keypoints are consistent between cameras.
     rate_hz : float
@@ -517,7 +517,7 @@ def _add_archive(
     place: int,
     weight: float,
 ) -> None:
-    """Add the archive's rotations, corrected by the actor's own deviation, and tilts to the frames of a hit."""
+    """Add the archive's rotations, corrected by the actor's deviation, and tilts to the frames of a hit."""
     table = motions[allocation.hits[place].motion].poses
     assert table is not None
     frames = allocation.frames(place)

@@ -34,7 +34,7 @@ def match_all(bits, height, index, granules, at, keyframes, spare, remaining):  
     Parameters
     ----------
     bits, height, index, at, spare
-        Of `match`.
+        See `match`.
     granules : uint8 array (K, b)
         The granules of each keyframe, from block `at` on.
     keyframes : (uint64 array, uint64 array, int64 array, int64 array, int64 array)
@@ -83,7 +83,7 @@ def match(bits, height, index, granules, at, rows, flips, spare, remaining):  # 
     Parameters
     ----------
     bits : uint64 array
-        Of `BitSlices`.
+        See `BitSlices`.
     height : int
         The number of words of a block there.
     index : int64 array (n,)
@@ -95,7 +95,7 @@ def match(bits, height, index, granules, at, rows, flips, spare, remaining):  # 
     rows : uint64 array (r,)
         The words of a block that the keyframe uses, a multiple of four.
     flips : uint64 array (r,)
-        All bits set where the keyframe requires the feature to be off, none where it requires it to be on.
+        All bits set for a feature that the keyframe requires to be off, no bits for one that it requires to be on.
     spare : uint64 array (3, n or more)
         Working memory.
     remaining : uint64 array (n or more,)
@@ -243,9 +243,9 @@ def add_ranges(remaining, index, follow, first, ends, gaps, ranges, n):  # type:
     follow : int32 array (b,)
         The number of blocks that follow each block in its window.
     first : int64 array (T + 1,)
-        Of `BitSlices`.
+        See `BitSlices`.
     ends : uint64 array
-        Of `BitSlices`.
+        See `BitSlices`.
     gaps : int64 array (K - 1, 2)
         Admissible gaps in frames.
     ranges : int64 array (m, 2)

@@ -26,7 +26,7 @@ def coarse_starts(coarse, features, blocks, rows, edges, order, gaps, found, spa
     Parameters
     ----------
     coarse, features
-        Of `BitSlices`.
+        See `BitSlices`.
     blocks : (int, int)
         The blocks from blocks[0] to blocks[1] - 1 are searched.
     rows : int64 array
@@ -171,7 +171,7 @@ def windows(found, ends, blocks, span, index, follow):  # type: ignore[no-untype
     found : uint64 array (n,)
         The granules of the first keyframe, from `coarse_starts`.
     ends : uint64 array
-        Of `BitSlices`.
+        See `BitSlices`.
     blocks : (int, int)
         The blocks that were searched.
     span : int

@@ -7,7 +7,7 @@ derivative.) Hence the matrix is a band whose half-width is twice the number of 
 Frames are eliminated one after the other, by the frontal method. The *front* is the matrix of a frame and the next two
 frames, after the elimination of all earlier frames. A Cholesky factorisation of its first rows gives the front of the
 next frame. Parameters that move no observed point are only coupled with themselves; each of them gives a separate band
-of half-width 2, which is solved on its own.
+of half-width 2, which is solved separately.
 """
 
 from __future__ import annotations

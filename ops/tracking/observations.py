@@ -98,9 +98,9 @@ class JointPositions:
 class PriorTerms:
     """The terms by which priors pull the poses of a track.
 
-    A rotation (turn) term adds w_d · log(MᵀR)_d² for each axis d of a node in a frame; a tilt term adds w · ‖R₀ᵀe_y −
-    t‖² for the rotation R₀ of the pelvis; a position (place) term adds w · (uᵀ(y − z))² for a joint y, a unit vector u
-    and a position z.
+    A rotation term (`turn_`) adds w_d · log(MᵀR)_d² to the cost for each axis d of a node in a frame. A tilt term adds
+    w · ‖R₀ᵀe_y − t‖² for the rotation R₀ of the pelvis. A position term (`place_`) adds w · (uᵀ(y − z))² for a joint at
+    y, a unit vector u and a position z.
 
     Attributes
     ----------

@@ -169,7 +169,7 @@ def start_from_triangulation(body: ChainBody, points: F64, body_points: BodyPoin
     body : ChainBody
         A body of the shipped chain's joints.
     points : float64 array (T, P, 3)
-        Triangulated keypoints in metres; NaN where there is none.
+        Triangulated keypoints in metres; NaN if there is none.
     body_points : BodyPoints
         The points of the body that correspond to the keypoints.
 
