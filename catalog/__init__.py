@@ -1,1 +1,1 @@
-"""Definitions: skeleton mappings, feature sets and their bit layout, classes, queries, and the SQL views."""
+"""This package defines skeleton mappings, feature sets and their bit layout, classes, queries, and the SQL views."""

@@ -1,4 +1,4 @@
-"""The camera model that is used for keypoints, silhouettes and depth images.
+"""Define the camera model that is used for keypoints, silhouettes and depth images.
 
 The conventions are those of OpenCV. In the camera, x points right, y down and z forward. A point X of the world has the
 camera coordinates R · X + t. Pixel centres are whole numbers, the first (0, 0), and distortion coefficients are in the

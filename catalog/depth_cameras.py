@@ -1,4 +1,4 @@
-"""Depth cameras: the camera model of `catalog.cameras` with the unit of depth images and the upward direction.
+"""Define depth cameras: the camera model of `catalog.cameras`, the unit of depth images, and the upward direction.
 
 In the camera, x points right, y down and z forward; pixel centres are whole numbers. A camera with a pose satisfies
 x_camera = rotation · (x_world − place), in a world in metres with Y up and the floor at Y = 0. For a camera without a
@@ -178,7 +178,7 @@ class DepthCamera:
         if values.dtype == np.uint16 and self._depth_shares is None:
             depths: F32 = self._depth_table[values]
             return depths
-        with np.errstate(invalid="ignore"):  # some NaN raise a flag when they are converted
+        with np.errstate(invalid="ignore"):  # the conversion of NaN values may raise a floating-point flag
             found = values.astype(np.float64)
         if values.dtype.kind == "f":
             measured = (found > 0) & (found < np.inf)

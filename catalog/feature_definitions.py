@@ -1,4 +1,4 @@
-"""Classes that define features and word sets, and the registry of the primitives that features are computed from."""
+"""Define classes for features and word sets, and the registry of the primitives from which features are computed."""
 
 from __future__ import annotations
 

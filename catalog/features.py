@@ -1,4 +1,4 @@
-"""Feature sets: the features that form a word, the word sets, and the effect of unknown joints on features."""
+"""Define feature sets: the features that form a word, the word sets, and the effect of unknown joints on features."""
 
 from __future__ import annotations
 
@@ -216,7 +216,7 @@ class FeatureSet:
         return (1 << len(self.features)) - 1
 
     def known(self, unknown: Iterable[str]) -> int:
-        """Return the mask of the features that are known for a body that lacks some joints, with the bits of a word.
+        """Return the mask of the features that are known for a body without certain joints, with the bits of a word.
 
         Parameters
         ----------

@@ -1,4 +1,4 @@
-"""Keypoint sets: the order of keypoints in the files of a pose estimator, and their positions on the body.
+"""Read keypoint sets: the order of keypoints in the files of a pose estimator, and their positions on the body.
 
 A set is a file of `configs/keypoints`. The positions of all keypoints are in `named.yaml`, which all sets share.
 """

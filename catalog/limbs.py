@@ -1,4 +1,4 @@
-"""The limbs that sensors are worn on: their joints, their sides and groups (thesis, Section 7.5)."""
+"""Define the limbs that wear sensors, with their joints, sides and groups (thesis, Section 7.5)."""
 
 from __future__ import annotations
 

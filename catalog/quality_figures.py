@@ -1,4 +1,4 @@
-"""Quality figures of takes, which reveal wrong units, wrong axes and faulty motion: columns of `takes` and limits.
+"""Define the quality figures of takes, which reveal wrong units, wrong axes and faulty motion, and their limits.
 
 The limits are wider than the range of values in HDM05, CMU and Bandai (`python -m studies.plausibility` prints both),
 and wider than the range of proportions of adults and children.

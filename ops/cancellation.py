@@ -1,4 +1,4 @@
-"""This module cancels long computations, which check from time to time whether their result is still needed."""
+"""This module cancels long computations, which call `check_cancelled` from time to time."""
 
 from __future__ import annotations
 

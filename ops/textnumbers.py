@@ -123,7 +123,7 @@ def _parse_frames(
             if frame < 0:
                 return NO_FRAME, line, pos, token_end(data, pos, end), 0, first, slows
             name, stop = guess, _name_end(data, pos, end, names, offsets[unsigned(guess)], offsets[unsigned(guess + 1)])
-            if stop < 0:  # the name does not follow the one before in order, as names nearly always do
+            if stop < 0:  # the name is not the next one in order, which it nearly always is
                 name, stop = _find_name(data, pos, end, names, offsets), token_end(data, pos, end)
             if name < 0:
                 return UNKNOWN_NAME, line, pos, stop, frame, first, slows

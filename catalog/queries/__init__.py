@@ -1,1 +1,1 @@
-"""Keyframe queries, and readers and writers of query files."""
+"""This package defines keyframe queries, and reads and writes query files."""

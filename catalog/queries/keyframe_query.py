@@ -1,4 +1,4 @@
-"""Keyframe queries: keyframes over feature sets, the gaps between them, alternatives, and a target class.
+"""Define keyframe queries, which have keyframes over feature sets, gaps between them, alternatives, and a class.
 
 A mirrored query finds the same motion on the other side of the body. The feature set defines which features are
 exchanged (`mirror` in its file). With the 40 features of body40, a mirrored query finds exactly the mirrored motion

@@ -1,4 +1,4 @@
-"""Keyframe queries written in Python, with the keys of query files."""
+"""Define keyframe queries in Python, with the keys of query files as parameters."""
 
 from __future__ import annotations
 

@@ -1,1 +1,1 @@
-"""The SQL views and macros of a store, with their descriptions."""
+"""This package defines the SQL views and macros of a store, with their descriptions."""

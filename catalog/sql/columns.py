@@ -1,4 +1,4 @@
-"""Classes that describe SQL views: their columns with types and meanings, and an example query."""
+"""Define classes that describe SQL views, with the types and meanings of columns and an example query."""
 
 from __future__ import annotations
 

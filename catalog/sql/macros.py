@@ -1,4 +1,4 @@
-"""The SQL macros of a store, for short queries about runs, poses, takes and hits."""
+"""Define the SQL macros of a store, for short queries about runs, poses, takes and hits."""
 
 from __future__ import annotations
 

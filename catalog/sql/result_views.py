@@ -1,4 +1,4 @@
-"""The registry of views of stored results, with the rows of the current pipeline or of all pipelines.
+"""Collect the views of stored results, with the rows of the current pipeline or of all pipelines.
 
 A kind of results is defined by its view alone: the view's name is the kind, and its columns are the schema of the
 kind's Parquet parts. To add a kind, add a `result_view` to the module of its topic. Add the views of a new module to

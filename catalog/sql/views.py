@@ -1,4 +1,4 @@
-"""The views and macros of a store, as SQL text with their descriptions."""
+"""Collect the views and macros of a store, as SQL text with their descriptions."""
 
 from __future__ import annotations
 

@@ -1,10 +1,10 @@
-"""Decoding finds the sequence of motion templates that best explains all frames of a take, by dynamic programming.
+"""This module decodes takes: it finds the sequence of motion templates that best explains all frames of a take.
 
 The thesis labels each frame independently, with the nearest template (Chapter 5). Decoding instead finds an
 explanation: a sequence of templates, with background in between. A frame that is assigned to a column of a template has
 the likelihood of its word under that column's feature values; a background frame has the likelihood of its word under
 the background postures (`ops.annotation.background`). The value of an explanation is the sum of the log ratios of these
-two likelihoods over the labelled frames, less costs. The explanation with the greatest value is found exactly.
+two likelihoods over the labelled frames, less costs. Dynamic programming finds the explanation with the greatest value.
 """
 
 from __future__ import annotations

@@ -117,7 +117,7 @@ def forwards(
 
 @nb.njit(cache=True, nogil=True)
 def recomputed_at(words: U64) -> I64:
-    """Return for each frame the last frame, up to it, at which its log ratios are recomputed in full (kernel).
+    """Return for each frame the last frame, not after it, in which log ratios are recomputed in full (kernel).
 
     If `advance` starts in this frame, it computes the same log ratios as from the beginning of the take, to the last
     bit.

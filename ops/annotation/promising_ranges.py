@@ -132,7 +132,7 @@ def loose_ranges(groups: Sequence[Group], frames: Frames, decoding: Decoding) ->
     groups, decoding
         As in `promising_ranges`.
     frames : Frames
-        `ops.annotation.decoding.frames_of` the take.
+        The result of `ops.annotation.decoding.frames_of` for the take.
 
     Returns
     -------

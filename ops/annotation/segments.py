@@ -272,8 +272,8 @@ def grow_runs(
 ) -> tuple[I64, F64, F64]:
     """Grow runs of labelled frames into segments (kernel).
 
-    A run grows to the left and to the right as long as the curve of its class does not rise, within its island. A run
-    that reaches the segment before it extends that segment.
+    A run is extended to the left and to the right as long as the curve of its class does not rise, within its island.
+    If a run reaches the previous segment, it extends that segment.
 
     Returns
     -------

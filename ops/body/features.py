@@ -351,7 +351,7 @@ def _evaluate(
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def _least_speed(x: F64, joints: I64, window: int, rate_hz: float, vectors: F64, start: int, out: F64) -> None:
-    """Fill in the smallest speed of some joints, NaN where one is unknown."""
+    """Fill in the smallest speed of the given joints; NaN if the speed of a joint is unknown."""
     v, speed = vectors[0], vectors[1, 0]
     for i in range(len(joints)):
         p.velocity(x, joints[i], -1, window, rate_hz, start, v)

@@ -1,4 +1,4 @@
-"""The kinematic chain of a body: its points for a pose, and their derivatives (thesis, Section 6.2.1).
+"""This module computes the points of a kinematic chain for a pose, and their derivatives (thesis, Section 6.2.1).
 
 A pose consists of the position of the first node and a rotation R_k of every node. With G_k = G_parent · R_k and the
 centre c_k = c_parent + G_parent · o_k, a point q in the frame of node k is at y = c_k + G_k · q. A step x of the

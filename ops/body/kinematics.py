@@ -351,7 +351,7 @@ def quaternions(matrices: F64, before: F64 | None = None, after: F64 | None = No
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def _quaternions(matrices: F64, left: F64, right: F64, out: F64) -> None:
-    """Convert matrices by their largest quaternion component, so that no divisor is near zero."""
+    """Convert matrices to quaternions by way of the largest component, so that no divisor is near zero."""
     m, half = np.empty((3, 3)), np.empty((3, 3))
     last = np.array([1.0, 0.0, 0.0, 0.0])  # the first one has w ≥ 0
     for t in range(out.shape[1]):

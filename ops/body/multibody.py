@@ -14,7 +14,7 @@ from kinedex.ops.errors import ParameterError
 
 
 class Function(Protocol):
-    """A function of some coordinates (K, T) with values (T,)."""
+    """A function of one or several coordinates (K, T) with values (T,)."""
 
     def __call__(self, values: F64) -> F64:
         """Return the values of the function in every frame."""
@@ -131,7 +131,7 @@ def spline(x: F64, y: F64) -> Spline:
 
 @dataclass(frozen=True)
 class AxisMotion:
-    """A rotation about an axis, or a translation along it, as a function of some coordinates.
+    """A rotation about an axis, or a translation along an axis, as a function of one or several coordinates.
 
     Attributes
     ----------

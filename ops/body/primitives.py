@@ -233,7 +233,7 @@ def hysteresis(weak: U64, strong: U64, state: U64, words: U64) -> None:
     weak, strong : uint64 array (n,)
         The bits of the features whose conditions hold.
     state : uint64 array (2,)
-        The word and the strong bits of the frame before, 0 at the start; afterwards those of the last frame.
+        The word and the strong bits of the previous frame, 0 at the start; replaced by those of the last frame.
     words : uint64 array (n,)
         The words.
     """

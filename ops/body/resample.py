@@ -108,7 +108,7 @@ def covered_frames(start: int, stop: int, frames: int, source_rate_hz: float, ra
     end = max(_ceil(stop * step), first + needed)
     if end <= frames:
         return first, end
-    # at the end of the source there are no further frames: it begins with the one before
+    # at the end of the source there are no further frames, so the interval begins one frame earlier
     return (first if frames - first >= needed else max(0, int(np.floor(round(start * step, 9))))), frames
 
 

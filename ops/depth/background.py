@@ -1,4 +1,4 @@
-"""This module estimates the empty room from a depth recording itself, and compares frames with it."""
+"""This module estimates depths of the empty room from a recording of a person, and compares frames with them."""
 
 from __future__ import annotations
 

@@ -203,7 +203,7 @@ def remove_noise(foreground: F32, runs: I64, rows: F32, found: PointArrays) -> i
 
 @njit(cache=True, nogil=True)
 def _clean_run(foreground: F32, rows: F32, v: int, left: int, right: int, n: int, found: PointArrays) -> int:
-    """Write the kept pixels among some columns of a row, after the first n points, and return the new count."""
+    """Write the kept pixels of a range of columns in a row, after the first n points, and return the new count."""
     directions, points, pixels, depth = found.directions, found.points, found.pixels, found.depth
     size = right - left + 2
     lows, middles, highs, counts, medians = (

@@ -534,7 +534,7 @@ def _write_edge(one: int, other: int, span: float, buffers: GraphBuffers) -> Non
 
 
 def split_people(cloud: FrameCloud, graph: PointGraph) -> list[I64]:
-    """Return the points of each person in a frame, ordered by their lowest point; empty for one person or none.
+    """Return the points of each person in a frame, ordered by their lowest index; empty for fewer than two people.
 
     Parameters
     ----------
@@ -575,7 +575,7 @@ def nearest_person(cloud: FrameCloud, people: list[I64], pose: F64 | None) -> in
 
 
 def restrict_cloud(cloud: FrameCloud, rows: I64) -> FrameCloud:
-    """Return a copy of a frame that is restricted to some of its points.
+    """Return a copy of a frame that is restricted to the given points.
 
     Parameters
     ----------

@@ -209,7 +209,7 @@ def add_blended_vector(
     Parameters
     ----------
     matrix, right : float64 array (12, 12), (12,)
-        The sums of the cone, which are added to.
+        The sums of the cone, to which the rows are added.
     s : float
         The place on its axis, from 0 to 1.
     offset : float64 array (3,)

@@ -1,4 +1,4 @@
-"""This module estimates a person's size from depth frames: the height at which the body model fits them best."""
+"""This module estimates a person's size from depth frames, as the height at which the body model fits best."""
 
 from __future__ import annotations
 

@@ -502,7 +502,7 @@ def predicted_pose(pose: F64, before: F64, share: float = SHARE) -> F64:
     Parameters
     ----------
     pose, before : float64 array (24, 3)
-        The last pose and the one before it, on the same bones, in metres.
+        The last pose and the pose before, with the same bone lengths, in metres.
     share : float, optional
         The fraction.
     """

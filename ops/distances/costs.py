@@ -150,7 +150,7 @@ def column_layout(templates: Sequence[QuantisedTemplate]) -> Layout:
 
 
 def _weight_groups(template: QuantisedTemplate) -> tuple[U64, F64]:
-    """Return the features of each different weight as bits, uint64 (G,), and the weights, float64 (G,)."""
+    """Group features of equal weight; return the bits of each group, uint64 (G,), and its weight, float64 (G,)."""
     if template.feature_weights is None:
         return np.array([~np.uint64(0)]), np.ones(1)
     weights, group = np.unique(template.feature_weights, return_inverse=True)

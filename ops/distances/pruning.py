@@ -315,7 +315,7 @@ class GranuleBlocks(NamedTuple):
 
 @dataclass(frozen=True)
 class GranuleWords:
-    """The features that are on, and off, in some frame of each granule.
+    """The features that are on in at least one frame of each granule, and those that are off in at least one frame.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""This module has the recurrence of subsequence DTW with steps (1,1), (1,2), (2,1) (thesis, Section 5.2).
+"""This module defines the recurrence of subsequence DTW with steps (1,1), (1,2), (2,1) (thesis, Section 5.2).
 
 With c the local cost of column n in frame f, the cheapest path that ends there costs
 

@@ -1,4 +1,4 @@
-"""This module has the inner loops of subsequence DTW: frame by frame over adjacent columns, for several pieces.
+"""This module holds the inner loops of subsequence DTW, frame by frame over adjacent columns, for several pieces.
 
 Coarse sums of many templates are computed together, with columns arranged in stripes for SIMD instructions on bytes. If
 the columns of a template were adjacent in memory, column n would need the values of columns n − 1 and n − 2 in the
@@ -19,9 +19,9 @@ from kinedex.ops.distances.recurrence import COARSE_CAP, coarse_path_cost, path_
 from kinedex.ops.words import NO_WORD
 
 LANES = 4
-"""The number of pieces that are computed together. A frame depends on the frame before it, whose stores have not
-completed; while one piece waits for them, another one is computed. (The number is a constant, so that the loop over
-lanes is unrolled.)
+"""The number of pieces that are computed together, each in a lane. A frame depends on the previous frame, whose stores
+may not have completed; while one piece waits for its stores, another piece is computed. (The number is a constant, so
+that the loop over lanes is unrolled.)
 """
 
 CHUNK = 512

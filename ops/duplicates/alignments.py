@@ -40,7 +40,7 @@ KEPT = 3
 """Maximum number of alignments of a pair of takes that are verified, in order of their votes."""
 
 MAX_VOTES = 4_000_000
-"""Maximum number of votes in memory at once, some 400 MB while they are sorted."""
+"""Maximum number of votes in memory at once; sorting so many votes takes about 400 MB."""
 
 _PRIME = np.uint64(0x9E37_79B9_7F4A_7C15)
 
@@ -147,7 +147,7 @@ def _joined(parts: Sequence[Alignments]) -> Alignments:
 
 
 def _blocks(votes: I64, most: int) -> Iterator[tuple[int, int]]:
-    """Yield ranges of first takes that have at most `most` votes together, or are a single take."""
+    """Yield ranges of takes that, as first takes of pairs, have at most `most` votes in total, or are a single take."""
     low, held = 0, 0
     for take, own in enumerate(votes.tolist()):
         if held and held + own > most:
@@ -178,7 +178,7 @@ def _sequences(runs: WordRuns, words: U64, length: int) -> tuple[U64, I64, I64]:
 
 
 def _places(runs: WordRuns, mirrored: U64 | None, length: int, asked: Bool) -> _Places:
-    """Return the occurrences of sequences of some length; with mirrored words, also those of their mirror images."""
+    """Return the occurrences of all sequences of a given length; with mirrored words, also of their mirror images."""
     hashes, takes, frames = _sequences(runs, runs.word, length)
     image = np.zeros(len(hashes), np.bool_)
     if mirrored is not None:

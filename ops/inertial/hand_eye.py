@@ -139,7 +139,7 @@ def _weighted(left: I64, share: F64, headings: F64, weights: F64, stiff: F64) ->
 
 @dataclass(frozen=True)
 class Stream:
-    """A stream of one sensor in one recording, with the orientations of the limb that it is worn on.
+    """The orientations of a sensor in a recording, with those of the limb that wears the sensor.
 
     Attributes
     ----------

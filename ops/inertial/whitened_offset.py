@@ -141,7 +141,7 @@ def _rows(limb: FineSearch, offset_s: float, ppm: float, drifts: bool) -> _Rows 
 
 
 def _follows(times: F64) -> I64:
-    """Return for each frame (n,) the number of frames before it without a gap."""
+    """Return for each frame (n,) the number of consecutive frames that precede it without a gap."""
     steps = np.diff(times)
     starts = (
         np.concatenate([[0], np.flatnonzero(steps > 1.5 * np.median(steps)) + 1]) if len(steps) else np.zeros(1, int)

@@ -172,7 +172,7 @@ def select_parents(fitness, rows, chosen, offset):  # type: ignore[no-untyped-de
 
 @njit(cache=True, nogil=True)
 def crossover(rng, population, one, other, row, settings, spare):  # type: ignore[no-untyped-def]
-    """Recombine two parents: merge some keyframes of each by their columns, with new gaps (thesis, Figure 4.1 a)."""
+    """Recombine two parents: merge random keyframes of each by their columns, with new gaps (thesis, Figure 4.1 a)."""
     population.counts[row] = 0
     for parent in (one, other):
         part = 1 + int(rng.random() * population.counts[parent])

@@ -153,14 +153,14 @@ def make_training_task(
 
 
 def steady_entries(template: QuantisedTemplate, steady: int) -> QuantisedTemplate:
-    """Replace template entries by wildcards unless they are equal for some columns before and after.
+    """Replace entries by wildcards unless they are equal in a number of columns before and after.
 
     Parameters
     ----------
     template : QuantisedTemplate
         A template of N columns.
     steady : int
-        The number of columns on either side; beyond its ends the first and last column are repeated.
+        The number of columns on either side; at the ends of the template, the first and last column are repeated.
 
     Returns
     -------

@@ -330,7 +330,7 @@ def state_of(tracker: Tracker, track: Track) -> TrackState:
 
 
 def round_start(tracker: Tracker, state: TrackState, terms: PriorTerms) -> Poses:
-    """Return the initial poses of a round: the track before it, with priors where the track is unreliable.
+    """Return the initial poses of a round: the previous track, with priors where this track is unreliable.
 
     A node with an archive or pose prior starts from the prior in frames in which the node is not seen, differs from the
     prior by more than `FAR_RAD`, or neither hip is seen. Other nodes that are not seen are interpolated, as in a

@@ -69,7 +69,7 @@ def match_all(bits, height, index, granules, at, keyframes, spare, remaining):  
 
 @njit(cache=True, nogil=True)
 def _fetch(bits, height, index, fetched):  # type: ignore[no-untyped-def]
-    """Prefetch some words of some blocks from memory."""
+    """Prefetch the given words of the given blocks from memory."""
     if len(fetched):
         for i in range(len(index)):
             for word in fetched:
@@ -283,7 +283,7 @@ def add_ranges(remaining, index, follow, first, ends, gaps, ranges, n):  # type:
 
 @njit(cache=True, nogil=True)
 def _segments(bitmap, follow, hits):  # type: ignore[no-untyped-def]
-    """Write for each segment of a bitmap its first frame, its last, and the last frame of its window."""
+    """Write for each segment of a bitmap its first frame, its last frame, and the last frame of its window."""
     one = np.uint64(1)
     carry = NO_BITS
     edge = 0
@@ -326,7 +326,7 @@ def _farthest(bitmap, high, hits, many):  # type: ignore[no-untyped-def]
 
 @njit(cache=True, nogil=True)
 def _take_of(ends, block):  # type: ignore[no-untyped-def]
-    """Return the take that contains a block: the number of takes that end before it."""
+    """Return the take that contains a block, which is the number of takes that end before the block."""
     at = block >> SHIFT << 1
     before = ends[at] & ((np.uint64(1) << np.uint64(block & BLOCK - 1)) - np.uint64(1))
     return np.int64(ends[at + 1]) + count_bits(before)

@@ -21,7 +21,7 @@ _BLOCK_BITS = np.uint64(2**GRANULES - 1)
 
 @njit(cache=True, nogil=True)
 def coarse_starts(coarse, features, blocks, rows, edges, order, gaps, found, spare):  # type: ignore[no-untyped-def]
-    """Find the granules of some blocks in which a hit may begin, and return True if there are any.
+    """Find the granules in a range of blocks in which a hit may begin, and return True if there are any.
 
     Parameters
     ----------

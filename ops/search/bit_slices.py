@@ -1,4 +1,4 @@
-"""Bit slices store the words of an archive as one bitmap per feature, with 64 frames in each uint64.
+"""This module makes bit slices, which hold the words of an archive as one bitmap per feature, 64 frames in a uint64.
 
 Each take begins in a new block (64 frames, one uint64) and ends with at least one spare frame, so that segments of
 different takes never touch. A coarse copy has one bit for every 8 frames. `ops.search.bit_slice_search` searches both.
@@ -163,7 +163,7 @@ def slice_words(words: U64, offsets: I64, features: int) -> BitSlices:
 
 
 def unsliced_words(slices: BitSlices, takes: I64, starts: I64, words: U64, ranges: I64 | None = None) -> None:
-    """Write the words of some takes of bit slices into an array; the inverse of `slice_words`.
+    """Write the words of the given takes of bit slices into an array; the inverse of `slice_words`.
 
     Parameters
     ----------

@@ -31,7 +31,7 @@ def _fold_arms(score: Score, start: float, stop: float) -> None:
 
 
 def sit(score: Score, seconds: float) -> None:
-    """Add the keyframes of sitting and looking around for some seconds."""
+    """Add the keyframes of sitting and looking around for a number of seconds."""
     score.begin()
     t = 0.0
     while t < seconds:

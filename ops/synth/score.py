@@ -243,11 +243,11 @@ class Score:
         self.relax(start, stop, *parts)
 
     def hurry(self, seconds: float) -> None:
-        """Move `now` back by some seconds, so that the next motion begins before the last one ends."""
+        """Move `now` back by a number of seconds, so that the next motion begins before the last one ends."""
         self.now -= seconds
 
     def after(self, seconds: float) -> None:
-        """Move `now` forward by some seconds, so that the next motion begins later."""
+        """Move `now` forward by a number of seconds, so that the next motion begins later."""
         self.now += seconds
 
 

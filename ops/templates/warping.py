@@ -261,7 +261,7 @@ class Stack:
         return np.diff(self.offsets)
 
     def chosen(self, indices: I64) -> Stack:
-        """Return a stack of some of the templates, in the given order."""
+        """Return a stack of the templates with the given indices, in their order."""
         pieces = [slice(int(self.offsets[i]), int(self.offsets[i + 1])) for i in indices]
         return Stack.of([Weighted(self.columns[piece], self.weights[piece]) for piece in pieces])
 

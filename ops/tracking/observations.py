@@ -96,7 +96,7 @@ class JointPositions:
 
 @dataclass(frozen=True, eq=False)
 class PriorTerms:
-    """The terms by which priors pull the poses of a track.
+    """The terms that priors add to the cost of a track.
 
     A rotation term (`turn_`) adds w_d · log(MᵀR)_d² to the cost for each axis d of a node in a frame. A tilt term adds
     w · ‖R₀ᵀe_y − t‖² for the rotation R₀ of the pelvis. A position term (`place_`) adds w · (uᵀ(y − z))² for a joint at

@@ -1,4 +1,4 @@
-"""This module judges which keypoints and nodes are reliable, and restarts tracks where they are not.
+"""This module judges which keypoints and nodes are reliable, and computes poses from which unreliable tracks restart.
 
 It also exchanges left and right leg keypoints if a camera has confused them. A detector that takes the left leg for the
 right leg reports both with full confidence. To detect this, the keypoints are compared with poses that do not depend on
