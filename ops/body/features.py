@@ -90,7 +90,7 @@ def words(
     if len(rules) > MAX_FEATURES:
         raise ParameterError("rules", f"at most {MAX_FEATURES}", len(rules))
     if valid is None or valid.all():
-        return _stretch(positions, orientation, rate_hz, rules, positions[:, :, :1], primitives or {})
+        return _segment_words(positions, orientation, rate_hz, rules, positions[:, :, :1], primitives or {})
     if valid.shape != (frames,):
         raise ParameterError("valid", f"of shape ({frames},)", valid.shape)
     out = np.full(frames, NO_WORD)
@@ -98,7 +98,7 @@ def words(
     edges = np.flatnonzero(np.diff(valid, prepend=False, append=False))
     for start, stop in edges.reshape(-1, 2).tolist():
         part = np.ascontiguousarray(positions[:, :, start:stop]), np.ascontiguousarray(orientation[:, start:stop])
-        out[start:stop] = _stretch(*part, rate_hz, rules, first, primitives or {})
+        out[start:stop] = _segment_words(*part, rate_hz, rules, first, primitives or {})
     return out
 
 
@@ -108,7 +108,7 @@ def words_bytes(rules: Sequence[Rule]) -> int:
     return 8 + 8 * len(given) + max((24 * len(term.joints) + 32 for term in given), default=0)
 
 
-def _stretch(
+def _segment_words(
     positions: F64,
     orientation: F64,
     rate_hz: float,
