@@ -34,7 +34,7 @@ class CameraRecording(BaseModel):
     track : str, optional
         A take of the store that is used instead of cameras, keypoints and silhouettes.
     rate_hz : float, optional
-        Frames per second; if a track is given, the default is the rate of that take.
+        Frames per second of the cameras; a track has the rate of its take.
     up : str, optional
         The axis of the calibration that points up. It is required if the file format does not determine it.
     unit : str, optional

@@ -402,7 +402,7 @@ def propose_start(lookup: Lookup, extrema: F64, centre: F64, facing: F64) -> Pro
 
 
 def add_rotated(proposals: Proposals, lookup: Lookup, extrema: F64, centre: F64, facing: F64, number: int) -> Proposals:
-    """Add the best pose that faces another direction, with the lowest extrema as feet, unless its row is a candidate.
+    """Add the best pose that faces another direction and is not yet a candidate, with the lowest extrema as feet.
 
     Parameters
     ----------

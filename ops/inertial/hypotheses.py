@@ -71,7 +71,7 @@ class Unit(NamedTuple):
 
 
 def upright(q: F64) -> F64:
-    """Return the nearest rotations (..., 4) that map Z to Y; if there is no nearest one, an arbitrary rotation."""
+    """Return the nearest rotations (..., 4) that map Z to Y; if all are equally near, an arbitrary one of them."""
     shares = q @ UPRIGHT.T
     length = np.sqrt(np.einsum("...a,...a->...", shares, shares))[..., None]
     lost = length < 1e-9

@@ -235,7 +235,7 @@ class Actor:
     stoop, lean, nod : float
         Angles of trunk and head in standing, in degrees.
     stance, toes_out : float
-        Distance and outward rotation of the feet in standing.
+        Half the distance between the feet, and their outward rotation, in standing.
     over_toes : float
         Distance of the pelvis in front of the balls of the feet.
     """

@@ -61,7 +61,7 @@ def first_track(observed: Observed, loss: Loss = "geman_mcclure", sigma_px: floa
     Raises
     ------
     ParameterError
-        The arguments do not fit each other, or a hip or a shoulder is seen nowhere.
+        The arguments do not match each other, or a hip or a shoulder is never seen.
     """
     body, observations, points = observed.body, observed.observations, observed.points
     if observations is None:
@@ -98,7 +98,7 @@ def find_start(
     Raises
     ------
     ParameterError
-        The points do not fit the observations, or a hip or a shoulder is seen nowhere.
+        The points do not match the observations, or a hip or a shoulder is never seen.
     """
     if isinstance(observations, JointPositions):
         start = start_from_positions(body, observations)
