@@ -31,7 +31,7 @@ from kinedex.ops.inertial.disagreement import direction_errors, frame_errors, mo
 from kinedex.ops.inertial.limb_motion import LimbMotion
 from kinedex.ops.inertial.limb_orientation import NONE, long_axis
 from kinedex.ops.inertial.rotations import conjugate, distance_deg, interpolate, multiply
-from kinedex.pipelines.inertial.limb_motion import LimbMotion, TakeLimbs
+from kinedex.pipelines.inertial.limb_motion import TakeLimbs
 from kinedex.pipelines.inertial.source_limbs import limb_tasks, read_limbs, with_stored_body
 from kinedex.pipelines.simulation.simulated_cameras import RECORDINGS, CameraRequest, simulate_cameras
 from kinedex.pipelines.tracking.tracked_takes import stored_poses

@@ -7,7 +7,7 @@ from pathlib import Path
 
 from tests.code_lines import PRODUCT, ROOT, code_lines, lines_of, modules
 
-MOST_LINES = 21_950
+MOST_LINES = 21_300
 """The largest number of lines of code of `pipelines`; this bound is lowered when lines are saved, and never raised."""
 
 MOST_FOLDERS, MOST_PARAMETERS = 14, 8
