@@ -1,8 +1,8 @@
 """`python -m studies.mutations DATA [--hold FORMAT]`: change one thing in a motion file and see whether a joint moves.
 
 DATA is a folder with `c3d`, `wild`, `cameras`, `cmu`, `bandai` and `hdm05`. Recordings that are read rightly are
-written anew with one mutation each (studies/point_mutations.py), read again, and compared with what was read before.
-One line for each format and mutation counts the outcomes:
+written anew with one mutation each (studies/point_mutations.py, studies/skeleton_mutations.py), read again, and
+compared with what was read before. One line for each format and mutation counts the outcomes:
 
 right
     Every joint is within 2 cm of its place in the frames that have one.
@@ -26,6 +26,7 @@ import tempfile
 from collections import Counter, defaultdict
 from collections.abc import Iterator
 from dataclasses import dataclass
+from itertools import chain
 from pathlib import Path
 
 import numpy as np
@@ -40,6 +41,7 @@ from kinedex.ops.errors import KinedexError
 from kinedex.storage.formats.motion.reader import Body
 from kinedex.storage.formats.motion.reader_table import read_body
 from studies.point_mutations import FORMS, Recording, point_mutations, recordings
+from studies.skeleton_mutations import BvhText, bvh_files, bvh_mutations, write
 
 FEATURES = load_feature_set()
 JOINTS = FEATURES.joints
@@ -137,17 +139,32 @@ def trials(found: list[Recording], forms: list[str], seed: int) -> Iterator[tupl
                     yield form, mutation.name, f"{recording.name}: {mutation.what}", outcome
 
 
+def bvh_trials(found: list[BvhText]) -> Iterator[tuple[str, str, str, Outcome]]:
+    """Yield format, mutation, file and outcome of every mutation of every BVH file."""
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / "take.bvh"
+        for file in found:
+            write(path, file)
+            control = read(path)
+            for mutation in bvh_mutations(file):
+                write(path, mutation.file)
+                yield "BVH", mutation.name, f"{file.name}: {mutation.what}", judged(path, control, mutation.knowable)
+
+
 def main() -> int:
     """Print the table; return 1 where a joint moved silently."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("data", type=Path)
-    parser.add_argument("--hold", action="append", choices=list(FORMS), help="only files of this format")
+    parser.add_argument("--hold", action="append", choices=[*FORMS, "BVH"], help="only files of this format")
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--show", nargs="*", default=["silent"], choices=OUTCOMES, help="outcomes to list one by one")
     given = parser.parse_args()
     counts: dict[tuple[str, str], Counter[str]] = defaultdict(Counter)
     shown = []
-    for form, mutation, what, outcome in trials(recordings(given.data), given.hold or list(FORMS), given.seed):
+    forms = given.hold or [*FORMS, "BVH"]
+    of_points = trials(recordings(given.data), [form for form in forms if form in FORMS], given.seed)
+    of_skeletons = bvh_trials(bvh_files(given.data)) if "BVH" in forms else ()
+    for form, mutation, what, outcome in chain(of_points, of_skeletons):
         counts[form, mutation][outcome.kind] += 1
         if outcome.kind in given.show:
             shown.append(f"{outcome.kind}: {form}, {mutation}, {what}: {outcome.detail}")

@@ -13,6 +13,7 @@ from typing import ClassVar
 import numpy as np
 import numpy.typing as npt
 
+from kinedex.catalog.skeletons.limb_doubts import limb_doubts
 from kinedex.catalog.skeletons.mappings import Fit, Format, Mappings
 from kinedex.ops import textnumbers as t
 from kinedex.ops.errors import SourceError, did_you_mean
@@ -201,7 +202,7 @@ class AcclaimReader(Reader):
             unit=f"{skeleton.unit_m / skeleton.length_scale:.6g} m",
             skeleton=fit.mapping.name,
             unknown=fit.unknown,
-            warnings=motion.warnings,
+            warnings=(*motion.warnings, *limb_doubts(positions, joints)),
             evidence=recognition_evidence(fit),
         )
 

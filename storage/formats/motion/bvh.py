@@ -11,6 +11,7 @@ import numpy as np
 import numpy.typing as npt
 
 from kinedex.catalog.skeletons.body_evidence import SAMPLED_FRAMES, Evidence
+from kinedex.catalog.skeletons.limb_doubts import limb_doubts
 from kinedex.catalog.skeletons.mappings import Fit, Format, Mappings
 from kinedex.ops.body import kinematics
 from kinedex.ops.errors import SourceError
@@ -108,7 +109,7 @@ class BvhReader(Reader):
         """
         bvh = _Motion(BvhFile(file.path, file.data))
         fit, positions, turned, turned_by, restored, *_ = _fitted(bvh, file.person, mappings, joints)
-        warnings = [*bvh.file.warnings, *recognition_warnings(fit)]
+        warnings = [*bvh.file.warnings, *recognition_warnings(fit), *limb_doubts(positions, joints)]
         rate_hz = corrected_rate(file.path, bvh.file.rate_hz, positions, joints, settings, warnings)
         if restored:
             warnings.append(

@@ -15,6 +15,7 @@ import numpy as np
 import numpy.typing as npt
 
 from kinedex.catalog.skeletons.body_evidence import SAMPLED_FRAMES, Evidence
+from kinedex.catalog.skeletons.limb_doubts import limb_doubts
 from kinedex.catalog.skeletons.mappings import Fit, Format, Mappings
 from kinedex.ops.body import kinematics
 from kinedex.ops.body.transforms import global_transforms, without_scale
@@ -182,7 +183,7 @@ class FigureReader(Reader):
             unit=unit,
             skeleton=fit.mapping.name,
             unknown=fit.unknown,
-            warnings=(*warnings, *recognition_warnings(fit)),
+            warnings=(*warnings, *recognition_warnings(fit), *limb_doubts(positions, joints)),
             estimated=tuple(fit.estimated),
             confidence=fit.confidence,
             evidence=(*figure.evidence, *found),

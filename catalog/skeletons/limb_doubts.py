@@ -1,0 +1,102 @@
+"""Doubt limbs that no body has: of no length, of unequal length on both sides, or with joints of the other side."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from functools import cache
+
+import numpy as np
+
+from kinedex.ops.arrays import F64, I64
+
+_LIMBS = (
+    ("hip", "knee"), ("knee", "ankle"), ("ankle", "toes"), ("shoulder", "elbow"), ("elbow", "wrist"),
+    ("wrist", "fingers"),
+)  # fmt: skip
+_TRUNK = (("root", "neck"), ("neck", "head"))
+_UNEQUAL = {"toes": 1.35, "fingers": 2.0}  # ratio of both sides' lengths; skeletons end feet and hands differently
+_MOST_UNEQUAL = 1.2  # ratio of both sides' lengths of the other limbs
+_NO_LENGTH = 0.02  # of the longest limb; no bone between these joints is so short
+_VARYING = 0.05  # ranges of two lengths, as shares of these; those of bones are below it
+_MOST_FRAMES = 32
+_SHOWN = 4
+
+
+def limb_doubts(positions: F64, joints: tuple[str, ...]) -> list[str]:
+    """Return a warning on limbs whose lengths, or whose sides, contradict each other; empty for a body.
+
+    Parameters
+    ----------
+    positions : float64 array (J, 3, T)
+        The joints, in any unit; NaN where one is unknown.
+    joints : tuple of str
+        The names of the J joints.
+    """
+    frames = np.linspace(0, positions.shape[2] - 1, min(_MOST_FRAMES, positions.shape[2])).astype(np.int64)
+    pairs, ends = _pairs(joints)
+    places = positions[:, :, frames]
+    with np.errstate(over="ignore", invalid="ignore"):  # Absurd numbers are refused elsewhere.
+        apart = places[ends[:, 0]] - places[ends[:, 1]]
+        lengths = np.sort(np.sqrt((apart * apart).sum(axis=1)), axis=1)
+    last = len(frames) - 1
+    low, middle, high = (lengths[:, round(share * last)] for share in (0.05, 0.5, 0.95))
+    at = {pair: (float(middle[i]), float(high[i] - low[i])) for i, pair in enumerate(pairs)}
+    found = [*_lengths(at), *_exchanged(at)]
+    if not found:
+        return []
+    more = f", and {len(found) - _SHOWN} more such findings" if len(found) > _SHOWN else ""
+    return [f"its skeleton, or the names of its joints, may be wrong: {'; '.join(found[:_SHOWN])}{more}"]
+
+
+@cache
+def _pairs(joints: tuple[str, ...]) -> tuple[list[tuple[str, str]], I64]:
+    """Return the pairs of joints whose distances are looked at, and their indices (P, 2)."""
+    pairs = [(f"{a}{inner}", f"{b}{outer}") for inner, outer in _LIMBS for a in "lr" for b in "lr"]
+    known = [pair for pair in [*pairs, *_TRUNK] if set(pair) <= set(joints)]
+    return known, np.array([[joints.index(joint) for joint in pair] for pair in known], np.int64).reshape(-1, 2)
+
+
+Distances = dict[tuple[str, str], tuple[float, float]]
+"""Two joints → the median of their distance and its range in nine of ten frames; NaN if one is unknown."""
+
+
+def _lengths(at: Distances) -> Iterator[str]:
+    """Yield a clause for each limb that has no length, or different lengths on the two sides."""
+    both = {
+        (inner, outer): (at[f"l{inner}", f"l{outer}"][0], at[f"r{inner}", f"r{outer}"][0])
+        for inner, outer in _LIMBS
+        if (f"l{inner}", f"l{outer}") in at
+    }
+    longest = max((max(pair) for pair in both.values() if pair[0] + pair[1] > 0), default=0.0)
+    for (inner, outer), (left, right) in both.items():
+        if not left + right >= 0:
+            continue
+        side = "l" if left < right else "r"
+        if min(left, right) < _NO_LENGTH * longest:
+            yield f"{side}{inner} and {side}{outer} are at the same place"
+        elif max(left, right) > _UNEQUAL.get(outer, _MOST_UNEQUAL) * min(left, right):
+            ratio = left / right
+            yield f"l{inner} and l{outer} are {ratio:.2f} times as far apart as r{inner} and r{outer}"
+    for a, b in _TRUNK:
+        if at.get((a, b), (longest, 0.0))[0] < _NO_LENGTH * longest:
+            yield f"{a} and {b} are at the same place"
+
+
+def _exchanged(at: Distances) -> Iterator[str]:
+    """Yield a clause for each pair of joints whose distance from the other side is constant, and from its own is not.
+
+    Limbs that merely cross are not doubted, as the lengths of their bones stay the same.
+    """
+    for inner, outer in _LIMBS:
+        if (f"l{inner}", f"l{outer}") not in at:
+            continue
+        left, right, far_left, far_right = f"l{inner}", f"r{inner}", f"l{outer}", f"r{outer}"
+        own = [at[left, far_left], at[right, far_right]]
+        crossed = [at[left, far_right], at[right, far_left]]
+        if max(_shares(own), default=0.0) > _VARYING > max(_shares(crossed), default=1.0):
+            yield f"{far_left} and {far_right} are as far from {right} and {left} in all frames, as if exchanged"
+
+
+def _shares(found: list[tuple[float, float]]) -> list[float]:
+    """Return the ranges of distances as shares of these."""
+    return [spread / length for length, spread in found if length > 0]
