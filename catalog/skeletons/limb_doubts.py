@@ -13,8 +13,11 @@ _LIMBS = (
     ("hip", "knee"), ("knee", "ankle"), ("ankle", "toes"), ("shoulder", "elbow"), ("elbow", "wrist"),
     ("wrist", "fingers"),
 )  # fmt: skip
+_WIDTHS = (("root", "hip"), ("neck", "shoulder"))
 _TRUNK = (("root", "neck"), ("neck", "head"))
-_UNEQUAL = {"toes": 1.35, "fingers": 2.0}  # ratio of both sides' lengths; skeletons end feet and hands differently
+_UNEQUAL = {"toes": 1.35, "fingers": 2.0, "hip": 1.5, "shoulder": 1.5}
+"""Largest ratios of the lengths on both sides, by the outer joint: skeletons end feet and hands differently."""
+
 _MOST_UNEQUAL = 1.2  # ratio of both sides' lengths of the other limbs
 _NO_LENGTH = 0.02  # of the longest limb; no bone between these joints is so short
 _VARYING = 0.05  # ranges of two lengths, as shares of these; those of bones are below it
@@ -52,7 +55,8 @@ def limb_doubts(positions: F64, joints: tuple[str, ...]) -> list[str]:
 def _pairs(joints: tuple[str, ...]) -> tuple[list[tuple[str, str]], I64]:
     """Return the pairs of joints whose distances are looked at, and their indices (P, 2)."""
     pairs = [(f"{a}{inner}", f"{b}{outer}") for inner, outer in _LIMBS for a in "lr" for b in "lr"]
-    known = [pair for pair in [*pairs, *_TRUNK] if set(pair) <= set(joints)]
+    widths = [(inner, f"{side}{outer}") for inner, outer in _WIDTHS for side in "lr"]
+    known = [pair for pair in [*pairs, *widths, *_TRUNK] if set(pair) <= set(joints)]
     return known, np.array([[joints.index(joint) for joint in pair] for pair in known], np.int64).reshape(-1, 2)
 
 
@@ -62,21 +66,18 @@ Distances = dict[tuple[str, str], tuple[float, float]]
 
 def _lengths(at: Distances) -> Iterator[str]:
     """Yield a clause for each limb that has no length, or different lengths on the two sides."""
-    both = {
-        (inner, outer): (at[f"l{inner}", f"l{outer}"][0], at[f"r{inner}", f"r{outer}"][0])
-        for inner, outer in _LIMBS
-        if (f"l{inner}", f"l{outer}") in at
-    }
+    sided = [((f"l{a}", f"l{b}"), (f"r{a}", f"r{b}")) for a, b in _LIMBS]
+    sided += [((a, f"l{b}"), (a, f"r{b}")) for a, b in _WIDTHS]
+    both = {pair: (at[pair[0]][0], at[pair[1]][0]) for pair in sided if set(pair) <= at.keys()}
     longest = max((max(pair) for pair in both.values() if pair[0] + pair[1] > 0), default=0.0)
-    for (inner, outer), (left, right) in both.items():
+    for (of_left, of_right), (left, right) in both.items():
         if not left + right >= 0:
             continue
-        side = "l" if left < right else "r"
         if min(left, right) < _NO_LENGTH * longest:
-            yield f"{side}{inner} and {side}{outer} are at the same place"
-        elif max(left, right) > _UNEQUAL.get(outer, _MOST_UNEQUAL) * min(left, right):
+            yield f"{' and '.join(of_left if left < right else of_right)} are at the same place"
+        elif max(left, right) > _UNEQUAL.get(of_left[1][1:], _MOST_UNEQUAL) * min(left, right):
             ratio = left / right
-            yield f"l{inner} and l{outer} are {ratio:.2f} times as far apart as r{inner} and r{outer}"
+            yield f"{' and '.join(of_left)} are {ratio:.2f} times as far apart as {' and '.join(of_right)}"
     for a, b in _TRUNK:
         if at.get((a, b), (longest, 0.0))[0] < _NO_LENGTH * longest:
             yield f"{a} and {b} are at the same place"
