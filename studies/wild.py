@@ -32,6 +32,7 @@ from kinedex.pipelines.simulation.synthetic_archive import write_archive
 from kinedex.storage.formats.motion.reader import DEFAULT_SETTINGS, Body, MotionFile
 from kinedex.storage.formats.motion.reader_table import reader_of
 from kinedex.storage.formats.motion.sources import scan
+from kinedex.storage.formats.motion.unpacked_files import unpacked
 from studies.wild_variants import Actor, Skeleton, Variant, load_skeletons, roles_of, sliding, variant
 
 F64 = npt.NDArray[np.float64]
@@ -66,9 +67,10 @@ class Outcome:
 
 def read(path: Path, mappings: Mappings, skeleton: Path | None = None, person: str = "") -> Outcome:
     """Read one person of a file."""
-    file = MotionFile(path, skeleton, None, person)
     try:
-        return Outcome(reader_of(path).read(file, mappings, FEATURES.joints, DEFAULT_SETTINGS), "")
+        with unpacked(path, skeleton) as copy:
+            file = MotionFile(copy.path, copy.skeleton, None, person)
+            return Outcome(reader_of(copy.path).read(file, mappings, FEATURES.joints, DEFAULT_SETTINGS), "")
     except KinedexError as fault:
         return Outcome(None, str(fault).removeprefix(f"{path}: "))
 
@@ -80,10 +82,10 @@ def census(folder: Path, mappings: Mappings, console: Console) -> None:
     implausible: Counter[tuple[str, str]] = Counter()
     table = Table("file", "dialect", "frames", "confidence", "unknown", "estimated", "warnings, or the reason")
     for motion in found.motions:
-        file = MotionFile(motion.absolute)
         skeleton = found.skeleton_of(motion).absolute if motion.format == "amc" else None
         try:
-            persons = reader_of(motion.absolute).persons(file, mappings) or ("",)
+            with unpacked(motion.absolute) as copy:
+                persons = reader_of(copy.path).persons(MotionFile(copy.path), mappings) or ("",)
         except KinedexError:
             persons = ("",)
         for person in persons:

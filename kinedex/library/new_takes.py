@@ -74,9 +74,11 @@ def read(
     """
     from kinedex.catalog.skeletons.mappings import load_mappings
     from kinedex.pipelines.ingestion.known_files import person_name
-    from kinedex.pipelines.ingestion.single_file import chosen_person, motion_ending, skeleton_beside
+    from kinedex.storage.formats.motion.packed_files import split_ending
     from kinedex.storage.formats.motion.reader import ReadSettings
     from kinedex.storage.formats.motion.reader_table import read_body
+    from kinedex.storage.formats.motion.single_file import chosen_person, motion_ending, skeleton_beside
+    from kinedex.storage.formats.motion.unpacked_files import unpacked
 
     file = Path(path).expanduser()
     if rate is not None:
@@ -85,9 +87,12 @@ def read(
     features = load_feature_set(feature_set)
     mappings = load_mappings("auto" if mapping is None else str(mapping), features.joints)
     person = chosen_person(file, asf, mappings, person)
-    body = read_body(file, asf, mappings, features.joints, ReadSettings(override_rate_hz=rate), person=person)
-    about = {"source": str(file), "format": file.suffix[1:].lower(), "skeleton_source": asf and str(asf)}
-    return take_of_body(person_name(file.stem, person), body, features, about)
+    with unpacked(file, asf) as copy:
+        settings = ReadSettings(override_rate_hz=rate)
+        body = read_body(copy.path, copy.skeleton, mappings, features.joints, settings, person=person)
+    stem, ending = split_ending(file.name)
+    about = {"source": str(file), "format": ending[1:].lower(), "skeleton_source": asf and str(asf)}
+    return take_of_body(person_name(stem, person), copy.restated_body(body), features, about)
 
 
 @checked

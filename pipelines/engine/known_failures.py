@@ -11,7 +11,9 @@ from pathlib import Path
 from kinedex.ops.errors import KinedexError
 from kinedex.pipelines.engine.config import Pipeline
 from kinedex.pipelines.labels.unmatched_labels import UnmatchedLabels
+from kinedex.storage.formats.motion.packed_files import container_of
 from kinedex.storage.formats.motion.sources import checksum
+from kinedex.storage.formats.source_files import stamp_of
 from kinedex.storage.lock import Wait
 from kinedex.storage.snapshot.schemas import result_table
 from kinedex.storage.store.store import Store, open_store
@@ -154,4 +156,5 @@ def _checksum(file: str, *more: str) -> str:
 def _content(file: str) -> str:
     with suppress(KinedexError, ValueError):  # the file no longer exists, or its name is not a valid path
         return checksum(Path(file))
-    return ""
+    container = container_of(Path(file))
+    return "" if container is None else str(stamp_of(container))  # it cannot be unpacked

@@ -30,6 +30,7 @@ from kinedex.pipelines.export.clips import (
 )
 from kinedex.pipelines.export.request import ClipOptions, IntervalSource, format_named
 from kinedex.pipelines.export.selected_intervals import selected_intervals
+from kinedex.storage.formats.motion.packed_files import file_exists
 from kinedex.storage.snapshot.frames import read_takes
 from kinedex.storage.snapshot.manifest import kinedex_version
 from kinedex.storage.snapshot.parts import joint_positions
@@ -199,7 +200,7 @@ def _skeletons(store: Store, rows: dict[str, dict[str, Any]], cut: set[str]) -> 
     for take in cut:
         if name := rows[take]["skeleton_source"]:
             beside = Path(rows[take]["source_root"]) / name
-            found[take] = beside if beside.is_file() or name not in known else Path(known[name]) / name
+            found[take] = beside if file_exists(beside) or name not in known else Path(known[name]) / name
     return found
 
 
@@ -209,7 +210,7 @@ def _require_sources(rows: dict[str, dict[str, Any]], cut: set[str], skeletons: 
             str(file)
             for take in cut
             for file in (Path(rows[take]["source_root"]) / rows[take]["source"], skeletons.get(take))
-            if file is not None and not file.is_file()
+            if file is not None and not file_exists(file)
         }
     )
     if missing:

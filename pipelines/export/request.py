@@ -56,8 +56,11 @@ class FileFormat:
 
     def cut_channels(self, paths: Sequence[Path], cut: SourceCut) -> None:
         """Write an interval of a source's own channels, to one file for each of `endings`."""
+        from kinedex.storage.formats.motion.channel_cuts import unpacked_cut
+
         assert self.channels is not None
-        resolve_name(self.channels)(paths, cut)
+        with unpacked_cut(cut) as readable:
+            resolve_name(self.channels)(paths, readable)
 
 
 FILE_FORMATS = {

@@ -19,6 +19,7 @@ from kinedex.storage.formats.motion.reader import Body, MotionFile, ReadSettings
 from kinedex.storage.formats.motion.reader_table import persons_of, read_body, reader_of
 from kinedex.storage.formats.motion.sources import SourceFile, checksum
 from kinedex.storage.formats.motion.text_blocks import BLOCK
+from kinedex.storage.formats.motion.unpacked_files import unpacked
 from kinedex.storage.formats.source_files import source_bytes
 from kinedex.storage.snapshot.manifest import Part
 from kinedex.storage.snapshot.parts import FramesWriter
@@ -163,19 +164,20 @@ def _read(batch: Batch, task: Task) -> tuple[str, Body | tuple[str, ...]]:
     A short file is read once. A longer file is read twice, and must not change in between. If the file has several
     persons and the task names none, their names are returned instead of a body.
     """
-    motion, asf = task.motion.absolute, task.skeleton.absolute if task.skeleton is not None else None
-    before = _stamp(motion)
-    if batch.memory is not None:
-        batch.memory.refuse_large(MotionFile(motion, asf), batch.feature_set, batch.rate_hz, batch.given)
-    data = source_bytes(motion) if reader_of(motion).reads_whole and before[0] <= BLOCK else None
-    if task.person is None and (persons := persons_of(MotionFile(motion, asf, data), batch.mappings)):
-        return "", persons
-    # computed last: it reads the whole file, which would delay the division of work among processes
-    content = checksum(motion) if data is None else hashlib.sha256(data).hexdigest()
-    body = read_body(motion, asf, batch.mappings, batch.feature_set.joints, batch.given, data, task.person or "")
-    if data is None and _stamp(motion) != before:
-        raise SourceError(motion, "was changed while it was read; run again when it is whole")
-    return content, body
+    with unpacked(task.motion.absolute, task.skeleton.absolute if task.skeleton is not None else None) as file:
+        motion, asf = file.path, file.skeleton
+        before = _stamp(motion)
+        if batch.memory is not None:
+            batch.memory.refuse_large(MotionFile(motion, asf), batch.feature_set, batch.rate_hz, batch.given)
+        data = source_bytes(motion) if reader_of(motion).reads_whole and before[0] <= BLOCK else None
+        if task.person is None and (persons := persons_of(MotionFile(motion, asf, data), batch.mappings)):
+            return "", persons
+        # computed last: it reads the whole file, which would delay the division of work among processes
+        content = file.checksum or (checksum(motion) if data is None else hashlib.sha256(data).hexdigest())
+        body = read_body(motion, asf, batch.mappings, batch.feature_set.joints, batch.given, data, task.person or "")
+        if data is None and _stamp(motion) != before:
+            raise SourceError(motion, "was changed while it was read; run again when it is whole")
+    return content, file.restated_body(body)
 
 
 def _stamp(path: Path) -> tuple[int, int]:

@@ -13,6 +13,7 @@ from typing import Any, Literal
 import pyarrow as pa
 
 from kinedex.ops.errors import SourceError
+from kinedex.storage.formats.motion.packed_files import file_exists, split_ending
 from kinedex.storage.formats.motion.sources import SourceFile, checksum
 from kinedex.storage.snapshot.schemas import RECORDED_FORMATS, result_schema
 
@@ -33,7 +34,7 @@ def file_names(naming: Naming, path: str) -> tuple[str, ...]:
     path : str
         The path of the file below the source root, with /.
     """
-    without = os.path.splitext(path)[0]
+    without = split_ending(path)[0]
     names = (os.path.basename(without), without, path)
     return names[("stem", "path", "file").index(naming) :]
 
@@ -192,8 +193,8 @@ class KnownFile:
 
     @cached_property
     def is_there(self) -> bool:
-        """True if the file still exists at its path."""
-        return (Path(self.root) / self.path).exists()
+        """True if the file still exists at its path, or in its archive."""
+        return file_exists(Path(self.root) / self.path)
 
     def current_rows(
         self, content: FileContent, is_made_so: Callable[[Row], bool], damaged: Iterable[int]

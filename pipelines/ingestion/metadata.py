@@ -30,6 +30,7 @@ from kinedex.storage.formats.metadata_tables import (
     read_sidecar,
     wider,
 )
+from kinedex.storage.formats.motion.packed_files import split_ending
 from kinedex.storage.formats.motion.sources import Scan, path_groups
 from kinedex.storage.snapshot.schemas import RECORDED_FORMATS, TakeColumn, column_problem
 from kinedex.storage.store.store import Store
@@ -185,7 +186,7 @@ def load_metadata(paths: Iterable[str], found: Scan | None = None) -> Metadata:
         if os.path.realpath(file.absolute) in given:
             continue
         try:
-            sidecars.append(read_sidecar(file.absolute, os.path.splitext(file.path)[0]))
+            sidecars.append(read_sidecar(file.absolute, split_ending(file.path)[0]))
         except (SourceError, ConfigError) as fault:
             remarks.append(str(fault))
     return Metadata(tables, tuple(sidecars), tuple(remarks))
@@ -351,9 +352,7 @@ class _Takes:
         for row in rows:
             path = row["source"]
             base = os.path.basename(path)
-            for found, key in zip(
-                stages, (path, os.path.splitext(path)[0], base, os.path.splitext(base)[0]), strict=True
-            ):
+            for found, key in zip(stages, (path, split_ending(path)[0], base, split_ending(base)[0]), strict=True):
                 found.setdefault(key, []).append(row["take_id"])
         self._stages = stages
 

@@ -9,6 +9,8 @@ from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
+from kinedex.storage.formats.motion.packed_files import split_ending
+
 SEPARATORS = ("_", "-", " ", ".")
 
 USUAL = 0.8
@@ -145,7 +147,7 @@ def layouts(paths: Iterable[str]) -> list[Layout]:
 
 def stem_of(path: str) -> str:
     """Return the name of a file without its folder and extension."""
-    return os.path.splitext(os.path.basename(path))[0]
+    return split_ending(os.path.basename(path))[0]
 
 
 def _of_depth(paths: list[str]) -> list[Layout]:

@@ -14,9 +14,10 @@ from kinedex.catalog.skeletons.recognition.proposal import mapping_yaml
 from kinedex.catalog.skeletons.recognition.recognised_tree import propose_tree
 from kinedex.catalog.skeletons.skeleton_fit import Fit, Mix
 from kinedex.ops.errors import SourceError
-from kinedex.pipelines.ingestion.single_file import chosen_person, motion_ending, skeleton_beside
 from kinedex.storage.formats.motion.reader import DEFAULT_SETTINGS, ReadSettings
 from kinedex.storage.formats.motion.reader_table import read_body
+from kinedex.storage.formats.motion.single_file import chosen_person, motion_ending, skeleton_beside
+from kinedex.storage.formats.motion.unpacked_files import unpacked
 
 
 def propose_mapping(
@@ -47,7 +48,9 @@ def propose_mapping(
     asf = skeleton_beside(file, source) if motion_ending(file) == ".amc" else None
     fault: SourceError | None = None
     try:
-        read_body(file, asf, mappings, joints, given, person=chosen_person(file, asf, mappings, person))
+        with unpacked(file, asf) as copy:
+            chosen = chosen_person(copy.path, copy.skeleton, mappings, person)
+            read_body(copy.path, copy.skeleton, mappings, joints, given, person=chosen)
     except SourceError as refused:
         fault = refused
     asked = mappings.question

@@ -22,7 +22,6 @@ from kinedex.ops.body.resample import find_gaps
 from kinedex.ops.errors import KinedexError, SourceError
 from kinedex.ops.intervals import shown_seconds
 from kinedex.pipelines.ingestion.analysis import analyse, figures_of, unknown_feature_warnings
-from kinedex.pipelines.ingestion.single_file import chosen_person, motion_ending, skeleton_beside
 from kinedex.pipelines.inspection.feature_shares import feature_shares
 from kinedex.pipelines.inspection.stick_figures import LEFT, MIDDLE, RIGHT, Figure
 from kinedex.storage.formats.motion.amass import parse_amass
@@ -36,6 +35,8 @@ from kinedex.storage.formats.motion.points import Points, PointsReader
 from kinedex.storage.formats.motion.positions import PositionsReader, parse_positions
 from kinedex.storage.formats.motion.reader import DEFAULT_SETTINGS, Body, MotionFile, ReadSettings
 from kinedex.storage.formats.motion.reader_table import persons_of, read_body, reader_of
+from kinedex.storage.formats.motion.single_file import chosen_person, motion_ending, skeleton_beside
+from kinedex.storage.formats.motion.unpacked_files import Unpacked, unpacked
 
 SHOWN = 6
 """The number of frames in the picture, including the first and the last."""
@@ -125,18 +126,32 @@ def inspect_file(
         If it is not a motion file, or there is no such mapping.
     """
     ending = motion_ending(file)
-    feature_set = load_feature_set()
-    mappings = load_mappings(skeleton, feature_set.joints)
+    mappings = load_mappings(skeleton, load_feature_set().joints)
     found = Inspection()
-    found.add("file", f"{file} ({file.stat().st_size / 1e6:.2f} MB)")
-    kind = _FORMATS.get(ending, ending[1:].upper())
-    if reader_of(file).format == "amass":
-        kind = f"{ending[1:].upper()}, joint angles (AMASS)"
-    found.add("format", reader_of(file).title or kind)
+    asf = None
     try:
         asf = skeleton_beside(file, source) if ending == ".amc" else None
+    except KinedexError as fault:
+        found.fault = fault
+    with unpacked(file, asf) as copy:
+        found.add("file", f"{file} ({copy.path.stat().st_size / 1e6:.2f} MB)")
+        kind = _FORMATS.get(ending, ending[1:].upper())
+        if reader_of(copy.path).format == "amass":
+            kind = f"{ending[1:].upper()}, joint angles (AMASS)"
+        found.add("format", reader_of(copy.path).title or kind)
         if asf is not None:
             found.add("skeleton file", str(asf))
+        if found.fault is None:
+            _inspect(found, copy, ending, mappings, given, person)
+    return found
+
+
+def _inspect(
+    found: Inspection, copy: Unpacked, ending: str, mappings: Mappings, given: ReadSettings, person: str
+) -> None:
+    """Add what a file holds, or the reason why it cannot be read."""
+    file, asf, feature_set = copy.path, copy.skeleton, load_feature_set()
+    try:
         persons = persons_of(MotionFile(file, asf), mappings)
         chosen = chosen_person(file, asf, mappings, person) if person or not persons else persons[0]
         if persons:
@@ -148,10 +163,10 @@ def inspect_file(
         if raw is not None and not persons:
             _add_mapping(found, raw, mappings)
         found.figure = raw.figure if raw is not None else None
-        body = read_body(file, asf, mappings, feature_set.joints, given, person=chosen)
+        body = copy.restated_body(read_body(file, asf, mappings, feature_set.joints, given, person=chosen))
     except KinedexError as fault:
-        found.fault = fault
-        return found
+        found.fault = copy.restated_error(fault)
+        return
     known = {mapping.name for group in mappings.of_format.values() for mapping in group}
     if body.skeleton not in known:
         found.lines[before:] = [("mapping", f"{body.skeleton}: no mapping fits all these names")]
@@ -159,7 +174,6 @@ def inspect_file(
         found.add("mapping", body.skeleton)
     _add_body(found, body, feature_set, given, ending)
     found.figure = _figure(file, body, feature_set.joints)
-    return found
 
 
 def _add_persons(found: Inspection, file: Path, persons: list[str], mappings: Mappings, given: ReadSettings) -> None:

@@ -189,7 +189,10 @@ def read_sidecar(path: str | Path, key: str) -> MetadataRow:
     ConfigError
         The file is not valid YAML, or has a value that is not a text, number, true, false, or list of texts.
     """
-    data = read_bytes(path, "files beside motion files", "give a table of metadata instead")
+    from kinedex.storage.formats.motion.unpacked_files import unpacked  # imported here since it imports all readers
+
+    with unpacked(Path(path)) as copy:
+        data = read_bytes(copy.path, "files beside motion files", "give a table of metadata instead")
     located = _located(path, data)
     if not isinstance(located.data, dict):
         raise located.error("expected a mapping from columns to values")

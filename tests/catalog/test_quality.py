@@ -12,8 +12,8 @@ from kinedex.catalog.quality import quality_columns, quality_warnings
 from kinedex.catalog.quality_figures import FIGURES
 from kinedex.catalog.skeletons.mappings import load_mappings
 from kinedex.ops.body.plausibility import Plausibility
-from kinedex.pipelines.ingestion.single_file import skeleton_beside
 from kinedex.storage.formats.motion.reader_table import read_body
+from kinedex.storage.formats.motion.single_file import skeleton_beside
 from studies.plausibility import FAULTS, Take
 from tests.ops.body.test_plausibility import swinging
 from tests.oracles.features import JOINTS

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 import numpy.typing as npt
@@ -23,6 +23,7 @@ from kinedex.storage.formats.motion.mapped_body import ParsedMotion
 from kinedex.storage.formats.motion.points import PointsReader
 from kinedex.storage.formats.motion.reader import Body, MotionFile, ReadSettings
 from kinedex.storage.formats.motion.reader_table import reader_of
+from kinedex.storage.formats.motion.unpacked_files import unpacked
 
 F64 = npt.NDArray[np.float64]
 
@@ -76,6 +77,15 @@ def read_body_limbs(
     SourceError
         The file cannot be read; the error names the place of the first fault.
     """
+    with unpacked(file.path, file.skeleton) as copy:
+        readable = replace(file, path=copy.path, skeleton=copy.skeleton)
+        return _read_body_limbs(readable, mappings, joints, settings, limbs)
+
+
+def _read_body_limbs(
+    file: MotionFile, mappings: Mappings, joints: tuple[str, ...], settings: ReadSettings, limbs: Iterable[str]
+) -> BodyLimbs:
+    """Read the body and the limbs of an ordinary file."""
     reader = reader_of(file.path)
     body = reader.read(file, mappings, joints, settings)
     wanted = set(limbs)

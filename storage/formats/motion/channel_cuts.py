@@ -6,8 +6,9 @@ The numbers of a cut keep the text of the source, byte by byte, unless a change 
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Iterable
-from dataclasses import dataclass
+from collections.abc import Callable, Iterable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass, replace
 from functools import lru_cache
 from itertools import pairwise
 from pathlib import Path
@@ -22,6 +23,7 @@ from kinedex.storage.durable_files import whole_file
 from kinedex.storage.formats.motion.reader import FASTEST_HZ, SLOWEST_HZ
 from kinedex.storage.formats.motion.sources import checksum
 from kinedex.storage.formats.motion.text_blocks import blocks
+from kinedex.storage.formats.motion.unpacked_files import unpacked
 from kinedex.storage.formats.source_files import file_size, part_of
 
 
@@ -107,11 +109,33 @@ def check_source(cut: SourceCut) -> None:
         The source cannot be read, or has another content than `cut.checksum`.
     """
     if cut.checksum and cut.checksum != _checksum(cut.source, stamp_of(cut.source)):
-        raise SourceError(
-            cut.source,
-            "was changed since it was ingested, so that frames of the store are not its frames; ingest it again "
-            "(kinedex ingest STORE SOURCE), or export the 24 joints, which the store itself holds",
-        )
+        raise _changed(cut.source)
+
+
+def _changed(path: Path) -> SourceError:
+    return SourceError(
+        path,
+        "was changed since it was ingested, so that frames of the store are not its frames; ingest it again "
+        "(kinedex ingest STORE SOURCE), or export the 24 joints, which the store itself holds",
+    )
+
+
+@contextmanager
+def unpacked_cut(cut: SourceCut) -> Iterator[SourceCut]:
+    """Yield a cut whose source and skeleton are ordinary files, for the `with` block.
+
+    Raises
+    ------
+    SourceError
+        They cannot be unpacked, or a packed source has another content than `cut.checksum`.
+    """
+    with unpacked(cut.source, cut.skeleton) as file:
+        if not file.checksum:
+            yield replace(cut, skeleton=file.skeleton)
+        elif cut.checksum and cut.checksum != file.checksum:
+            raise _changed(cut.source)
+        else:
+            yield replace(cut, source=file.path, skeleton=file.skeleton, checksum=None)
 
 
 @lru_cache(maxsize=64)

@@ -38,6 +38,7 @@ class GltfReader(FigureReader):
     """Reads .gltf and .glb files, and VRM avatars and animations, which use the same format."""
 
     endings: ClassVar[tuple[str, ...]] = (".glb", ".gltf", ".vrm", ".vrma")
+    beside: ClassVar[tuple[str, ...]] = (".bin",)
 
     def extent(self, file: MotionFile, joints: int, settings: ReadSettings) -> Extent:
         """Count the frames by the times of the keys, and estimate the memory: JSON, keys and joints."""

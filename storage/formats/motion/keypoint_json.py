@@ -238,6 +238,7 @@ class KeypointReader(PointsReader):
 
     title: ClassVar[str] = "JSON, keypoints"
     endings: ClassVar[tuple[str, ...]] = (".json",)
+    beside: ClassVar[tuple[str, ...]] = (".json",)
 
     def sniff(self, path: Path) -> bool:
         """Return whether a file begins like one of keypoints, and is not a later one of a sequence."""

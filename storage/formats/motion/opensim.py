@@ -58,6 +58,7 @@ class OpenSimReader(PointsReader):
 
     title: ClassVar[str] = "OpenSim motion"
     endings: ClassVar[tuple[str, ...]] = (".mot", ".sto")
+    beside: ClassVar[tuple[str, ...]] = (".osim",)
     up: ClassVar[str | None] = "y"
 
     def sniff(self, path: Path) -> bool:

@@ -187,6 +187,9 @@ class Reader(ABC):
         The format in words, for `kinedex inspect`; by default its extension.
     reads_whole : bool
         True if the reader reads the whole file at once, so that its caller can pass the bytes.
+    beside : tuple of str
+        Endings of the files that the reader looks for in the folder of a file and below, so that they are unpacked with
+        it.
     distribution : str
         The distribution of a plugin and its version, set by the table of readers; empty for a built-in reader.
     """
@@ -195,6 +198,7 @@ class Reader(ABC):
     endings: ClassVar[tuple[str, ...]]
     title: ClassVar[str] = ""
     reads_whole: ClassVar[bool] = False
+    beside: ClassVar[tuple[str, ...]] = ()
     distribution: str = ""
 
     def sniff(self, path: Path) -> bool:

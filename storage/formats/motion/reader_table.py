@@ -74,11 +74,20 @@ def reader_of(path: str | Path) -> Reader:
     return next((reader for reader in readers[:-1] if reader.sniff(file)), readers[-1])
 
 
+def is_known_by_ending(ending: str) -> bool:
+    """Return whether every file with an extension is motion, so that its content need not be looked at."""
+    return _accepts_all(_readers_by_ending(tuple(READERS)).get(ending, ()))
+
+
+def _accepts_all(readers: tuple[Reader, ...]) -> bool:
+    # the last reader of an ending is the most general one, which mostly accepts every file
+    return bool(readers) and type(readers[-1]).sniff is Reader.sniff
+
+
 def is_motion_file(path: str | Path) -> bool:
     """Return whether a reader recognises a file as one of its format."""
     readers = _readers_by_ending(tuple(READERS)).get(os.path.splitext(path)[1].lower(), ())
-    # the last reader of an ending is the most general one, which mostly accepts every file
-    if readers and type(readers[-1]).sniff is Reader.sniff:
+    if _accepts_all(readers):
         return True
     return any(reader.sniff(Path(path)) for reader in reversed(readers))
 

@@ -9,12 +9,23 @@ import stat
 import sys
 from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields
 from functools import cached_property
 from pathlib import Path
+from typing import Any, NamedTuple
 
 from kinedex.ops.errors import SourceError, StoreError
-from kinedex.storage.formats.motion.reader_table import is_motion_file, motion_endings
+from kinedex.storage.formats.motion.packed_files import (
+    Member,
+    archive,
+    container_of,
+    opened,
+    packed_size,
+    split_ending,
+)
+from kinedex.storage.formats.motion.reader_table import is_known_by_ending, is_motion_file, motion_endings
+from kinedex.storage.formats.motion.text_blocks import BLOCK
+from kinedex.storage.formats.motion.unpacked_files import is_utf16, recognised
 
 NO_MOTION = "tables or data in which no reader finds motion"
 """The kind of files with an extension of some reader but content that no reader recognises."""
@@ -27,7 +38,8 @@ _ENDINGS = {
     ".webm .wmv .mts",
     "sound": ".wav .mp3 .ogg .flac .aiff .m4a .mid",
     "texts": ".txt .md .rst .tex .bib .log .pdf .doc .docx .odt .rtf .ppt .pptx .htm .html .url",
-    "archives, which are not unpacked": ".zip .tar .tgz .gz .bz2 .xz .zst .7z .rar",
+    "archives, which are not unpacked": ".tar .tgz .gz .bz2 .xz .zst .7z .rar",
+    "archives that hold no files": ".zip",
     "tables": ".csv .tsv .xls .xlsx .ods .parquet .db .sqlite",
     "data": ".json .jsonl .yaml .yml .xml .toml .ini .cfg .mat .h5 .hdf5 .npy .npz .pkl .pickle .pt .pth .bin .dat",
     "files of capture software": ".x1d .x2d .x2e .xcp .mcp .mkr .vsk .vst .vpf .enf .system .history .cal .prj "
@@ -87,11 +99,12 @@ class SourceFile:
     root : str
         The source root.
     path : str
-        Path relative to the root, with /, as valid Unicode: bytes that are not UTF-8 are shown as \xNN.
+        Path relative to the root, with /, as valid Unicode: bytes that are not UTF-8 are shown as \xNN. A file in an
+        archive has that as a folder: archive.zip/walk.bvh.
     size : int
-        Size in bytes.
+        Size in bytes, unpacked.
     mtime_ns : int
-        Time of the last change, in nanoseconds since 1970.
+        Time of the last change of the file or of its archive, in nanoseconds since 1970.
     on_disk : str
         The path as the file system has it, if `path` differs.
     """
@@ -110,12 +123,12 @@ class SourceFile:
     @property
     def stem(self) -> str:
         """The file's name without folder and extension, which is the take's name."""
-        return os.path.splitext(os.path.basename(self.path))[0]
+        return split_ending(os.path.basename(self.path))[0]
 
     @property
     def format(self) -> str:
-        """The file's extension in lower case, without the dot, such as "amc"."""
-        return os.path.splitext(self.path)[1][1:].lower()
+        """The file's extension in lower case, without the dot, such as "amc", also of walk.amc.gz."""
+        return split_ending(self.path)[1][1:].lower()
 
 
 @dataclass(frozen=True)
@@ -220,7 +233,8 @@ def scan(root: str | Path) -> Scan:
 
     Links to folders are not followed, which avoids loops; a linked folder inside the root is found at its own path.
     Links to files are followed inside the root. Broken links, links out of the root, and files without access are
-    listed as refused: nothing outside the root is read. Every other file is listed with its kind.
+    listed as refused: nothing outside the root is read. The files of .zip archives are listed like those of folders;
+    what cannot be read there is listed as refused. Every other file is listed with its kind.
 
     Parameters
     ----------
@@ -236,35 +250,102 @@ def scan(root: str | Path) -> Scan:
     if readable(str(root)) != str(root):
         raise StoreError(f"source '{readable(str(root))}' is not UTF-8 text: rename the folder, or link to it")
     if not root.is_dir():
-        raise StoreError(f"source '{root}' is not a folder: give the folder that holds the motion files")
-    motions: list[SourceFile] = []
-    skeletons: list[SourceFile] = []
-    unread: list[SourceFile] = []
-    refused: list[UnreadableFile] = []
-    passed: list[SkippedFile] = []
-    sidecars: list[SourceFile] = []
-    kinds = dict.fromkeys(UNREAD, unread) | {".asf": skeletons} | dict.fromkeys(motion_endings(), motions)
-    entries = [(folder, name, os.path.splitext(name)) for folder, name in _entries(root, refused)]
-    moving = set(motion_endings())
-    beside = {(folder, stem) for folder, _, (stem, ending) in entries if ending.lower() in moving}
-    above = len(os.path.join(root, ""))
-    for folder, name, (stem, ending) in entries:
-        place = os.path.join(folder, name)
-        relative = place[above:].replace(os.sep, "/")
-        path = readable(relative)
-        kind = sidecars if ending.lower() in SIDECARS and (folder, stem) in beside else kinds.get(ending.lower())
-        if kind is None or is_of_system(name):
-            passed.append(SkippedFile(path, kind_of(name)))
+        holds = "archive" if root.suffix.lower() == ".zip" else "motion files"
+        raise StoreError(f"source '{root}' is not a folder: give the folder that holds the {holds}")
+    found: dict[str, list[Any]] = {name: [] for name in _LISTS}
+    kinds = dict.fromkeys(UNREAD, "unread") | {".asf": "skeletons"} | dict.fromkeys(motion_endings(), "motions")
+    entries = list(_with_members(root, found["refused"], found["passed_over"]))
+    beside = {(entry.folder, entry.stem) for entry in entries if kinds.get(entry.ending) == "motions"}
+    packed = _packed_motions(entry for entry in entries if kinds.get(entry.ending) == "motions")
+    for entry in entries:
+        described = entry.ending in SIDECARS and (entry.folder, entry.stem) in beside
+        kind = "sidecars" if described else kinds.get(entry.ending)
+        if entry.member is not None and entry.ending == ".zip":
+            kind = "motions"  # of which it may hold some: it is refused, not passed over
+        path = readable(entry.relative)
+        if kind is None or is_of_system(entry.name):
+            found["passed_over"].append(SkippedFile(path, kind_of(entry.name)))
             continue
         try:
-            file = _source_file(root, place, relative, path)
-            if kind is not motions or is_motion_file(place):
-                kind.append(file)
+            file = _source_file(root, entry, path)
+            if kind != "motions" or _is_motion(entry, packed):
+                found[kind].append(file)
             else:
-                passed.append(SkippedFile(path, NO_MOTION))
+                found["passed_over"].append(SkippedFile(path, NO_MOTION))
+        except SourceError as fault:
+            found["refused"].append(UnreadableFile(path, fault))
+    return Scan(*(tuple(found[name]) for name in _LISTS))
+
+
+_LISTS = tuple(one.name for one in fields(Scan))
+
+
+class _Entry(NamedTuple):
+    """A file below the root, or one in an archive there: its paths, its name divided, and its record in the archive."""
+
+    place: str
+    relative: str
+    folder: str
+    name: str
+    stem: str
+    ending: str
+    member: Member | None = None
+    mtime_ns: int = 0
+
+    @property
+    def is_packed(self) -> bool:
+        """True for a file in an archive, and for one that ends with .gz."""
+        return self.member is not None or self.name[-3:].lower() == ".gz"
+
+
+def _with_members(root: Path, refused: list[UnreadableFile], passed: list[SkippedFile]) -> Iterator[_Entry]:
+    """Yield all files below the root, in place of archives those that they hold; collect what cannot be listed."""
+    above = len(os.path.join(root, ""))
+    for folder, name in _entries(root, refused):
+        place = os.path.join(folder, name)
+        relative = place[above:].replace(os.sep, "/")
+        stem, ending = split_ending(name)
+        entry = _Entry(place, relative, folder, name, stem, ending.lower())
+        if entry.ending != ".zip" or is_of_system(name):
+            yield entry
+            continue
+        path = readable(relative)
+        try:
+            _source_file(root, entry, path)
+            found = archive(Path(place))
         except SourceError as fault:
             refused.append(UnreadableFile(path, fault))
-    return Scan(tuple(motions), tuple(skeletons), tuple(unread), tuple(refused), tuple(passed), tuple(sidecars))
+            continue
+        if not found.members and not found.refused:
+            passed.append(SkippedFile(path, kind_of(name)))
+        for odd, reason in sorted(found.refused.items()):
+            shown = "/".join(part for part in odd.split("/") if part not in ("", ".", ".."))
+            named = SourceError(readable(place), f"{odd!r} {reason}")
+            refused.append(UnreadableFile(f"{path}/{readable(shown)}", named))
+        for inside, member in sorted(found.members.items()):
+            within, last = os.path.split(os.path.join(place, inside))
+            stem, ending = split_ending(last)
+            paths = os.path.join(within, last), f"{relative}/{inside}"
+            yield _Entry(*paths, within, last, stem, ending.lower(), member, found.mtime_ns)
+
+
+def _packed_motions(entries: Iterable[_Entry]) -> frozenset[Path]:
+    """Return the paths of packed files that readers recognise by their content, among those that need it."""
+    folders: dict[str, list[Path]] = {}
+    for entry in entries:
+        sound = entry.member is None or not entry.member.reason
+        if entry.is_packed and sound and not is_of_system(entry.name) and not is_known_by_ending(entry.ending):
+            folders.setdefault(entry.folder, []).append(Path(entry.place))
+    return frozenset(path for paths in folders.values() for path in recognised(paths))
+
+
+def _is_motion(entry: _Entry, packed: frozenset[Path]) -> bool:
+    if entry.is_packed:
+        return is_known_by_ending(entry.ending) or Path(entry.place) in packed
+    if is_motion_file(entry.place):
+        return True
+    path = Path(entry.place)
+    return is_utf16(path) and bool(recognised([path]))
 
 
 def _entries(root: Path, refused: list[UnreadableFile]) -> Iterator[tuple[str, str]]:
@@ -289,7 +370,12 @@ def _entries(root: Path, refused: list[UnreadableFile]) -> Iterator[tuple[str, s
 _BRING_IN = "copy what it leads to into the source, or ingest that folder as a source of its own"
 
 
-def _source_file(root: Path, path: str, relative: str, shown: str) -> SourceFile:
+def _source_file(root: Path, entry: _Entry, shown: str) -> SourceFile:
+    path, on_disk = entry.place, "" if shown == entry.relative else entry.relative
+    if entry.member is not None:
+        if entry.member.reason:
+            raise SourceError(readable(path), entry.member.reason)
+        return SourceFile(str(root), shown, entry.member.record.file_size, entry.mtime_ns, on_disk)
     try:
         found = os.lstat(path)
         if stat.S_ISLNK(found.st_mode):
@@ -304,11 +390,24 @@ def _source_file(root: Path, path: str, relative: str, shown: str) -> SourceFile
         raise SourceError(readable(path), f"cannot be read: {fault.strerror}") from None
     if not stat.S_ISREG(found.st_mode):
         raise SourceError(readable(path), "is no file (but a pipe, a device or a socket, or a link to a folder)")
-    return SourceFile(str(root), shown, found.st_size, found.st_mtime_ns, "" if shown == relative else relative)
+    size = packed_size(Path(path)) if entry.is_packed else found.st_size
+    return SourceFile(str(root), shown, size, found.st_mtime_ns, on_disk)
 
 
 def checksum(path: Path) -> str:
-    """Return the SHA-256 of a file, in hexadecimal; raise SourceError if it cannot be read."""
+    """Return the SHA-256 of a file, in hexadecimal, of a packed one that of its own bytes.
+
+    Raises
+    ------
+    SourceError
+        It cannot be read.
+    """
+    if container_of(path) is not None:
+        hasher = hashlib.sha256()
+        with opened(path) as packed:
+            while data := packed.read(BLOCK):
+                hasher.update(data)
+        return hasher.hexdigest()
     try:
         with path.open("rb", buffering=0) as file:
             return hashlib.file_digest(file, "sha256").hexdigest()

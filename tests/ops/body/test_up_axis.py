@@ -12,8 +12,8 @@ from hypothesis import strategies as st
 from kinedex.catalog.features import load_feature_set
 from kinedex.catalog.skeletons.mappings import load_mappings
 from kinedex.ops.body.up_axis import AXES, UpAxis, up_axis
-from kinedex.pipelines.ingestion.single_file import skeleton_beside
 from kinedex.storage.formats.motion.reader_table import read_body
+from kinedex.storage.formats.motion.single_file import skeleton_beside
 from tests.bodies import standing
 from tests.oracles import up_axis as naive
 from tests.oracles.features import JOINTS

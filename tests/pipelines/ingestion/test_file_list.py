@@ -19,7 +19,7 @@ from tests.pipelines.archives import context, write_archive
 OTHERS = {
     "readme.TXT": "texts", "film/x_1.mp4": "images or films", "film/x_2.mp4": "images or films",
     "film/cover.png": "images or films", "labels/x_1.eaf": "labels", "labels/all.csv": "tables or data in which no "
-    "reader finds motion", "old.zip": "archives, which are not unpacked", "._x_1.amc": "hidden files and files of the "
+    "reader finds motion", "old.tar": "archives, which are not unpacked", "._x_1.amc": "hidden files and files of the "
     "system", ".hidden": "hidden files and files of the system", "strange.xyz": "files of other kinds", "LICENSE":
     "texts",
 }  # fmt: skip

@@ -1,4 +1,4 @@
-"""Read one motion file outside of an archive, with the skeleton file that belongs to it."""
+"""Read one motion file outside of a store, with the skeleton file that belongs to it."""
 
 from __future__ import annotations
 
@@ -6,9 +6,11 @@ from pathlib import Path
 
 from kinedex.catalog.skeletons.mappings import Mappings
 from kinedex.ops.errors import KinedexError, SourceError, did_you_mean
+from kinedex.storage.formats.motion.packed_files import archive, file_exists, files_in, split_ending
 from kinedex.storage.formats.motion.reader import MotionFile
-from kinedex.storage.formats.motion.reader_table import motion_endings, persons_of
+from kinedex.storage.formats.motion.reader_table import is_known_by_ending, motion_endings, persons_of
 from kinedex.storage.formats.motion.sources import UNREAD, SourceFile, skeleton_of
+from kinedex.storage.formats.motion.unpacked_files import unpacked
 
 ABOVE = 3
 """The number of folders above an AMC file that are searched for its ASF file if no source root is given."""
@@ -24,11 +26,16 @@ def motion_ending(file: Path) -> str:
     SourceError
         Files of this format are not read.
     """
-    ending = file.suffix.lower()
+    ending = split_ending(file.name)[1].lower()
     if file.is_dir():
         raise KinedexError(f"{file}: is a folder; give a file of it, or read them all: kinedex ingest STORE {file}")
-    if not file.is_file():
+    if not file_exists(file):
         raise KinedexError(f"{file}: no such file")
+    if ending == ".zip":
+        raise KinedexError(
+            f"{file}: is an archive; give a file of it, such as {_example(file)}, or read all: kinedex ingest STORE "
+            f"{file.parent}"
+        )
     if ending not in motion_endings():
         raise SourceError(file, f"is not read: {UNREAD.get(ending) or 'kinedex reads ' + ', '.join(motion_endings())}")
     return ending
@@ -57,7 +64,7 @@ def skeleton_beside(amc: Path, source: Path | None = None) -> Path:
         raise KinedexError(f"--source {source}: {amc} does not lie below it")
     skeletons = []
     for folder in (folder for folder in amc.parents if folder.is_relative_to(root)):
-        skeletons += [_source(root, path) for path in sorted(folder.glob("*")) if path.suffix.lower() == ".asf"]
+        skeletons += [_source(root, path) for path in files_in(folder) if split_ending(path.name)[1].lower() == ".asf"]
     return skeleton_of(_source(root, amc), skeletons).absolute
 
 
@@ -80,7 +87,8 @@ def chosen_person(file: Path, skeleton: Path | None, mappings: Mappings, person:
     SourceError
         The file contains several persons and none is chosen, or it does not contain the chosen one.
     """
-    persons = persons_of(MotionFile(file, skeleton), mappings)
+    with unpacked(file, skeleton) as copy:
+        persons = persons_of(MotionFile(copy.path, copy.skeleton), mappings)
     if person in persons or (not persons and not person):
         return person
     if not persons:
@@ -89,6 +97,12 @@ def chosen_person(file: Path, skeleton: Path | None, mappings: Mappings, person:
     if person:
         raise SourceError(file, f"holds no person '{person}'{did_you_mean(person, persons)} (it holds {names})")
     raise SourceError(file, f"holds {len(persons)} persons, {names}; give one of them as the person")
+
+
+def _example(file: Path) -> Path:
+    """Return the path of a motion file in an archive; one that need not be there if none is found."""
+    names = archive(file).members
+    return file / next((name for name in names if is_known_by_ending(split_ending(name)[1].lower())), "walk.bvh")
 
 
 def _source(root: Path, path: Path) -> SourceFile:
