@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import copy
+import gzip
 import io
 import struct
 import subprocess
@@ -38,6 +40,8 @@ from kinedex.catalog.skeletons.mappings import load_mappings
 from kinedex.ops.errors import KinedexError
 from kinedex.storage.formats.labels.formats import FORMATS, read_labels
 from kinedex.storage.formats.motion.reader_table import read_body
+from kinedex.storage.formats.motion.sources import scan
+from kinedex.storage.formats.motion.unpacked_files import unpacked
 from tests.fuzz.depth_files import check_npz, check_pcd, check_ply, check_png
 from tests.large_files import peak_mb
 path, harmless = Path(sys.argv[1]), sys.argv[2:]
@@ -54,6 +58,13 @@ try:
         DEPTH[ending](path)
     elif ending in FORMATS and "motion" not in path.stem:
         read_labels(path)
+    elif ending in ("zip", "gz"):
+        found = scan(path.parent)
+        for refused in found.refused:
+            raise refused.fault
+        for motion in found.motions:
+            with unpacked(motion.absolute) as copy:
+                read_body(copy.path, None, mappings, joints)
     else:
         read_body(path, path.with_name("x.asf") if ending == "amc" else None, mappings, joints)
     print("read", end=" ")
@@ -132,6 +143,37 @@ def _entries(count: int) -> bytes:
     with zipfile.ZipFile(packed, "w") as file:
         for number in range(count):
             file.writestr(f"{number}.npy", b"")
+    return packed.getvalue()
+
+
+def _zip(files: dict[str, int], overlap: int = 0) -> bytes:
+    """Return an archive with files of so many MB of zeros, of which the last is listed so many times more."""
+    packed = io.BytesIO()
+    with zipfile.ZipFile(packed, "w", zipfile.ZIP_DEFLATED) as file:
+        for name, megabytes in files.items():
+            with file.open(name, "w", force_zip64=True) as entry:
+                for _ in range(megabytes):
+                    entry.write(bytes(1 << 20))
+        for number in range(overlap):
+            again = copy.copy(file.infolist()[-1])
+            again.filename = f"{number}.bvh"
+            file.filelist.append(again)
+    return packed.getvalue()
+
+
+def _gz(megabytes: int) -> bytes:
+    packed = io.BytesIO()
+    with gzip.GzipFile(fileobj=packed, mode="wb") as file:
+        for _ in range(megabytes):
+            file.write(bytes(1 << 20))
+    return packed.getvalue()
+
+
+def _many_files(count: int) -> bytes:
+    packed = io.BytesIO()
+    with zipfile.ZipFile(packed, "w") as file:
+        for number in range(count):
+            file.writestr(f"{number}.bvh", b"")
     return packed.getvalue()
 
 
@@ -217,6 +259,11 @@ BOMBS: dict[str, tuple[str, Callable[[], bytes]]] = {
     "an NPZ header of 10^12 frames": ("npz", lambda: _npz((TEN_TO_12, 24, 3), 1 << 20)),
     "an NPZ of 2.4 GB in 2 MB": ("npz", lambda: _npz((4_096_000, 24, 3), 2250 << 20)),
     "an NPZ of 100,000 entries": ("npz", lambda: _entries(100_000)),
+    "a BVH of 2.4 GB in 2 MB": ("walk.bvh.gz", lambda: _gz(2400)),
+    "an archive of 2.4 GB in 2 MB": ("zip", lambda: _zip({"walk.bvh": 2400})),
+    "an archive of 100 GB that share their bytes": ("zip", lambda: _zip({"walk.bvh": 60}, 1700)),
+    "an archive of 150,000 files": ("zip", lambda: _many_files(150_000)),
+    "an archive of 400,000 files": ("zip", lambda: _many_files(400_000)),
     "a pickle of 2^60 numbers": ("pkl", lambda: _pickle_of(60)),
     "a pickle with a place far out": ("pkl", lambda: b"\x80\x02}r\xff\xff\xff\x7f."),
     "a pickle of tuples in tuples": ("pkl", lambda: b"\x80\x02})" + b"\x85" * 5_000_000 + b"K\x01s."),

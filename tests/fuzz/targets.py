@@ -35,7 +35,7 @@ from kinedex.storage.formats.motion.reader import FASTEST_HZ, SLOWEST_HZ, Body, 
 from kinedex.storage.formats.motion.reader_table import read_body, reader_of
 from kinedex.storage.snapshot.schemas import COLUMN_TYPES
 from tests.bodies import STANDING
-from tests.fuzz import camera_files, depth_files, imu_files, seeds
+from tests.fuzz import camera_files, depth_files, imu_files, packed_files, seeds
 from tests.fuzz.binary import C3D, FBX, GLB, NPY, NPZ
 from tests.fuzz.mutations import ANY, TEXT, Mutation, insert_word, nest
 from tests.fuzz.words import (
@@ -421,6 +421,8 @@ TARGETS: dict[str, Target] = {
         Target("amc", ".amc", partial(seeds.acclaim, 1), _text(AMC_WORDS), check_amc),
         Target("bvh", ".bvh", seeds.bvh, _text(BVH_WORDS, DEEP_BVH), check_motion),
         Target("bvh-parser", ".bvh", seeds.strange_bvh, _text(BVH_WORDS, DEEP_BVH), check_strange_bvh),
+        Target("zip", ".zip", packed_files.archives, (*ANY, *packed_files.ZIP), packed_files.check_packed),
+        Target("gz", ".gz", packed_files.packed_bvh, (*ANY, *packed_files.GZ), packed_files.check_packed),
         Target("trc", ".trc", seeds.trc, _text(), check_motion),
         Target("csv", ".csv", seeds.csv, _text(CSV_WORDS), check_csv),
         Target("motive", ".csv", seeds.motive, _text(MOTIVE_WORDS), check_motion),

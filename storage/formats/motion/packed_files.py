@@ -34,7 +34,7 @@ MAX_DIRECTORY = 16 << 20
 MAX_RATIO, FREE_BYTES = 200, 64 << 20
 """The largest ratio of unpacked to packed size, and the unpacked size up to which any ratio is accepted."""
 
-_MAX_NAME = 1000
+_MAX_NAME, _MAX_PART = 1000, 255
 _CHUNK = 1 << 20
 _ENCRYPTED = 0x1 | 0x40 | 0x2000
 _ODD = re.compile(r"[\x00-\x1f\x7f]")
@@ -175,10 +175,11 @@ def _odd_name(name: str) -> str:
         return f"has an absolute path in the archive, which is not followed; {_UNPACK} into a folder of your own"
     if ".." in parts:
         return f"has a path that leads out of the archive, which is not followed; {_UNPACK} into a folder of your own"
-    if "." in parts or "" in parts or _ODD.search(name) or len(name) > _MAX_NAME:
+    long = len(name.encode()) > _MAX_NAME or any(len(part.encode()) > _MAX_PART for part in parts)
+    if "." in parts or "" in parts or _ODD.search(name) or long:
         return (
             "has a name in the archive that is no ordinary path (empty or '.' folders, control characters, or more "
-            f"than {_MAX_NAME} characters); rename it and pack it again"
+            f"than {_MAX_PART} bytes, {_MAX_NAME} with its folders); rename it and pack it again"
         )
     return ""
 

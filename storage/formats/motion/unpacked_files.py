@@ -5,6 +5,7 @@ from __future__ import annotations
 import codecs
 import hashlib
 import os
+import tempfile
 from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
@@ -195,7 +196,9 @@ def _write(path: Path, copy: Path, most: int | None = None) -> str:
         raise SourceError(path, "is no text in UTF-16, though it begins with its byte order mark; cut off?") from None
     except OSError as fault:
         raise SourceError(
-            path, f"cannot be unpacked: {copy}: {fault.strerror}; TMPDIR names another folder for unpacked files"
+            path,
+            f"cannot be unpacked into {tempfile.gettempdir()}: {fault.strerror}; the variable TMPDIR names another "
+            "folder for unpacked files",
         ) from fault
     return hasher.hexdigest()
 
