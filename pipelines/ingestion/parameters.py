@@ -35,6 +35,12 @@ class IngestParameters(StageParameters):
         "where the names of a file fit; vocabularies of names, too. Those that the store holds (`kinedex mapping add`) "
         "are added",
     )
+    skeleton_files: dict[str, str] = Field(
+        default_factory=dict,
+        description="ASF files of AMC files, where the name does not tell: a path below the source, in which * and ? "
+        "stand for any characters, or the name of a file, to the path of its ASF below the source: "
+        '`{"walk_*.amc": "subject7.asf"}`; the first that fits counts',
+    )
     features: Annotated[str | None, NamesFile("features")] = Field(
         None,
         description="feature set: a shipped name, or a path to a .yaml file; unless given that of the store, and "

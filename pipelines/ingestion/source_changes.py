@@ -104,6 +104,7 @@ def compare_source(
     naming: Naming,
     patterns: Sequence[str],
     given: ReadSettings,
+    given_skeletons: Mapping[str, str],
 ) -> SourceChanges:
     """Compare a source with a store, by size and modification time; only files that seem to be changed are read.
 
@@ -126,6 +127,8 @@ def compare_source(
         Regular expressions for paths, whose named groups become columns.
     given : ReadSettings
         Settings of the user for reading files.
+    given_skeletons : mapping of str to str
+        The skeleton files that the user gives motion files, see `Scan.chosen_skeleton`.
     """
     work = _Comparison(writer, found, naming)
     work.find_files()
@@ -138,13 +141,13 @@ def compare_source(
         if motion.path not in work.names:
             continue
         try:
-            skeleton = found.skeleton_of(motion) if motion.format == "amc" else None
+            skeleton, doubts = found.chosen_skeleton(motion, given_skeletons) if motion.format == "amc" else (None, ())
             groups = path_groups(motion.path, compiled)
             of_skeleton = skeleton_sums.of(skeleton) if skeleton is not None else ""
             made = work.recipes[motion.path] = recipe_of(made_by[motion.format], of_skeleton)
             if work.is_unchanged(motion, partial(has_recipe, made_by[motion.format], of_skeleton), damaged):
                 continue
-            warnings = () if groups is not None or not compiled else (NO_PATTERN,)
+            warnings = (*(() if groups is not None or not compiled else (NO_PATTERN,)), *doubts)
             name = work.names[motion.path]
             work.tasks.append(Task(name, -1, motion, skeleton, dict(groups or {}), made, warnings))
         except SourceError as fault:

@@ -166,7 +166,8 @@ class Sources:
             raise SourceError(path, "is not there")
         if checksum(motion.absolute) != row["checksum"]:
             raise SourceError(path, "has changed since it was read")
-        skeleton = found.skeleton_of(motion) if motion.format == "amc" else None
+        given = next((one.params.skeleton_files for one in self._readers if one.root == row["source_root"]), {})
+        skeleton, doubts = found.chosen_skeleton(motion, given) if motion.format == "amc" else (None, ())
         content = checksum(skeleton.absolute) if skeleton is not None else ""
         number, recipe = self._reader_of(row, motion, content)
         if recipe != row["recipe"] and skeleton is not None:
@@ -174,7 +175,7 @@ class Sources:
             if skeleton.path != row["skeleton_source"] or before != content:
                 raise SourceError(skeleton.absolute, "is not known to be the skeleton that it was read with")
         groups = path_groups(motion.path, self._readers[number].patterns)
-        task = Task(row["name"], row["take_id"], motion, skeleton, dict(groups or {}), recipe, ())
+        task = Task(row["name"], row["take_id"], motion, skeleton, dict(groups or {}), recipe, doubts)
         return number, replace(task, person=row.get("person") or "", persons=row.get("persons") or 1)
 
     def _reader_of(self, row: Mapping[str, Any], motion: SourceFile, skeleton: str) -> tuple[int, str]:

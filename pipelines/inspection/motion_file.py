@@ -36,6 +36,7 @@ from kinedex.storage.formats.motion.positions import PositionsReader, parse_posi
 from kinedex.storage.formats.motion.reader import DEFAULT_SETTINGS, Body, MotionFile, ReadSettings
 from kinedex.storage.formats.motion.reader_table import persons_of, read_body, reader_of
 from kinedex.storage.formats.motion.single_file import chosen_person, motion_ending, skeleton_beside
+from kinedex.storage.formats.motion.sources import skeleton_doubt
 from kinedex.storage.formats.motion.unpacked_files import Unpacked, unpacked
 
 SHOWN = 6
@@ -140,7 +141,8 @@ def inspect_file(
             kind = f"{ending[1:].upper()}, joint angles (AMASS)"
         found.add("format", reader_of(copy.path).title or kind)
         if asf is not None:
-            found.add("skeleton file", str(asf))
+            doubt = skeleton_doubt(file, asf)
+            found.add("skeleton file", str(asf) if doubt is None else f"{asf} ({doubt})")
         if found.fault is None:
             _inspect(found, copy, ending, mappings, given, person)
     return found

@@ -96,8 +96,9 @@ class Ingest(Stage[IngestParameters]):
         mappings = chosen_mappings(params, context.feature_set.joints, context.store_path, standing)
         with context.writer() as writer:
             plan = compare_source(
-                writer, context.feature_set, mappings, found, params.name, params.patterns, params.given
-            )
+                writer, context.feature_set, mappings, found, params.name, params.patterns, params.given,
+                params.skeleton_files,
+            )  # fmt: skip
             if plan.renamed and not params.prune:
                 raise _other_names_error(plan)
             unmatched = _report_changes(context, params, found, plan)

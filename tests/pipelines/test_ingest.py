@@ -228,7 +228,7 @@ def test_broken_files_are_logged_with_file_and_line_and_the_rest_comes_in(tmp_pa
     assert "not a number: 'l7'" in log["bad/x_word.amc"]["message"]
     assert "lacks bone 'lfemur'" in log["bad/x_bone.amc"]["message"]
     assert "empty" in log["bad/x_empty.amc"]["message"]
-    assert "no ASF skeleton whose name begins like 'y_alone'" in log["bad/y_alone.amc"]["message"]
+    assert "no ASF skeleton whose whole name begins 'y_alone'" in log["bad/y_alone.amc"]["message"]
     assert log["bad/x_cut.amc"]["line"] > 4
     assert all(str(source) in row["file"] for row in log.values())
     assert verify(opened) == []

@@ -169,7 +169,7 @@ def test_strict_stops_inside_a_batch_and_before_anything_is_read_or_pruned(store
     assert names(store) == ["x_0", "x_1"]
     (source / "x_0.amc").unlink()
     (source / "y_3.amc").write_text(human_amc(9, seed=2))
-    with pytest.raises(KinedexError, match="no ASF skeleton whose name begins like 'y_3'"):
+    with pytest.raises(KinedexError, match="no ASF skeleton whose whole name begins 'y_3'"):
         bring_in(store, source, strict=True, prune=True)
     assert names(store) == ["x_0", "x_1"]
     assert [row["source"] for row in log(store)] == ["y_3.amc"]

@@ -112,3 +112,28 @@ def test_paths_without_a_pattern_lead_to_a_proposal_only_where_there_is_one(tmp_
     assert "1 of 13 paths matches no pattern, such as 'free.amc'" in shown
     assert f"kinedex init {source}" not in shown
     assert "`kinedex init` has no pattern for it: add one to `patterns` of the stage ingest" in shown
+
+
+def test_a_motion_beside_a_strangers_skeleton_is_refused_until_a_setting_gives_it_one(tmp_path: Path) -> None:
+    source, store = write_archive(tmp_path / "archive", {"x_1.amc": 20, "01_14.amc": 20}), tmp_path / "store"
+    (source / "03.asf").write_text((source / "x.asf").read_text())
+    ingest(store, source)
+    assert open_store(store).takes()["name"].to_list() == ["x_1"]
+    (row,) = open_store(store).result("ingest_log").to_pylist()
+    assert "no ASF skeleton whose whole name begins '01_14': found only 03.asf, x.asf" in row["message"]
+    assert """`--set 'ingest.skeleton_files={"01_14.amc": "03.asf"}'`""" in row["message"]
+    ingest(store, source, skeleton_files={"01_14.amc": "03.asf"})
+    outcome, shown = ingest(store, source)
+    assert "excluded" not in shown
+    assert outcome.ran == ()
+    takes = open_store(store).takes().sort("name")
+    assert takes.select("name", "skeleton_source").rows() == [("01_14", "03.asf"), ("x_1", "x.asf")]
+    assert "its skeleton" not in str(takes["warnings"].to_list())
+
+
+def test_the_only_skeleton_of_a_folder_is_taken_with_a_warning(tmp_path: Path) -> None:
+    source, store = write_archive(tmp_path / "archive", {"walk.amc": 20}), tmp_path / "store"
+    (source / "x.asf").rename(source / "Skeleton.asf")
+    ingest(store, source)
+    (warnings,) = open_store(store).takes()["warnings"].to_list()
+    assert "its skeleton Skeleton.asf is taken because there is no other" in str(warnings)

@@ -92,7 +92,7 @@ def test_the_skeleton_of_an_amc_file_is_found_above_it_up_to_the_source(tmp_path
         assert message(found, "skeleton file") == str(root / "x.asf")
         assert message(found, "rate") == "120 Hz (assumed: Acclaim files do not contain it)"
     found = inspect_file(root / "a" / "b" / "x_1.amc", source=root / "a")
-    assert "no ASF skeleton whose name begins like 'x_1'" in str(found.fault)
+    assert "no ASF skeleton whose whole name begins 'x_1'" in str(found.fault)
     assert not write_picture(found, tmp_path / "no.png")
     found = inspect_file(root / "a" / "b" / "x_1.amc", source=tmp_path / "elsewhere")
     assert "does not lie below it" in str(found.fault)
