@@ -18,7 +18,16 @@ UNITS_M = {"metres": 1.0, "inches / 0.45 (Acclaim)": 0.0254 / 0.45, "inches": 0.
 """The units of length that files come in, and the metres of one."""
 
 RARE_UNITS_M = {"dm (MakeHuman)": 0.1}
-"""Units that are tried where none of `UNITS_M` fits."""
+"""Units that are tried where none of `UNITS_M` fits an adult."""
+
+FEET_M = {"feet": 0.3048}
+"""The unit that is tried last: a giant in metres has as many units as a child in feet."""
+
+ADULT_M = 1.242
+"""The least height by which a common unit goes before decimetres.
+
+Bodies of 17.7 to 22 units are 1 to 1.24 m high in inches / 0.45, and 1.77 to 2.2 m in decimetres; adults are likelier.
+"""
 
 RARE_HEIGHTS_M = ((0.8, 1.0), (2.2, 2.3), (0.7, 0.8), (2.3, 4.1))
 """Ranges of heights that are tried if no unit gives a height in `HUMAN_M`, the likelier first: small children,
@@ -27,6 +36,8 @@ giants, and stylised figures, which are ingested with a warning on their height.
 _LEGS = (("lhip", "lknee", "lankle"), ("rhip", "rknee", "rankle"))
 _TRUNK = ("root", "belly", "chest", "neck", "head", "headtop")
 _POSSIBLE_M = (0.4, 4.1)  # heights with which a stated unit is accepted
+_ADULTS_FIRST = ((ADULT_M, HUMAN_M[1]), HUMAN_M, *RARE_HEIGHTS_M)
+_LOST = {f"units of {factor:g} of its own": factor for factor in (10.0, 100.0, 1000.0)}
 _UPRIGHT = 1.1  # the share that feet and the slope of the pelvis add to the length of legs and trunk
 _ARMS = (("lshoulder", "lelbow", "lwrist"), ("rshoulder", "relbow", "rwrist"))
 _ARM_TO_LEG, _TRUNK_TO_LEG = 0.68, 0.76  # lengths of arms and trunk as shares of the legs', as in HDM05 and CMU
@@ -56,8 +67,10 @@ def guess_unit(source: str | Path, positions: F64, joints: tuple[str, ...]) -> t
     height = body_height(positions, joints)
     if height is None:
         raise SourceError(source, f"its unit of length cannot be guessed without a whole leg or arm; {way_out}")
-    for low, high in (HUMAN_M, *RARE_HEIGHTS_M):
-        for name, unit_m in (UNITS_M | RARE_UNITS_M).items():
+    every = UNITS_M | RARE_UNITS_M
+    tries = [(UNITS_M, (ADULT_M, HUMAN_M[1])), *((every, limits) for limits in _ADULTS_FIRST), (FEET_M, HUMAN_M)]
+    for units, (low, high) in tries:
+        for name, unit_m in units.items():
             if low <= height * unit_m <= high:
                 return name, unit_m, height * unit_m
     raise SourceError(
@@ -67,10 +80,27 @@ def guess_unit(source: str | Path, positions: F64, joints: tuple[str, ...]) -> t
     )
 
 
+def rival_unit(unit_m: float, height_m: float) -> tuple[str, float] | None:
+    """Return another unit in which a body has a human height, too, with that height in metres; None if there is none.
+
+    Parameters
+    ----------
+    unit_m : float
+        Metres of the unit that was guessed.
+    height_m : float
+        The height of the body in metres by that unit.
+    """
+    for name, other_m in (UNITS_M | RARE_UNITS_M).items():
+        if other_m != unit_m and HUMAN_M[0] <= height_m / unit_m * other_m <= HUMAN_M[1]:
+            return name, height_m / unit_m * other_m
+    return None
+
+
 def contradicted_unit(positions: F64, joints: tuple[str, ...], unit_m: float) -> tuple[str, float, float] | None:
     """Return the unit in which a body has a human height; None if the stated unit may be right.
 
-    A stated unit holds if it makes a body of 0.4 to 4.1 m, or if no unit makes a human height.
+    A stated unit holds if it makes a body of 0.4 to 4.1 m, or if no unit makes a human height. Besides common units,
+    10, 100 and 1000 times the stated one are tried, for files whose lengths were divided once too often.
 
     Parameters
     ----------
@@ -89,7 +119,7 @@ def contradicted_unit(positions: F64, joints: tuple[str, ...], unit_m: float) ->
     height = body_height(positions, joints)
     if height is None or _POSSIBLE_M[0] <= height * unit_m <= _POSSIBLE_M[1]:
         return None
-    for name, other_m in UNITS_M.items():
+    for name, other_m in (UNITS_M | {name: factor * unit_m for name, factor in _LOST.items()}).items():
         if HUMAN_M[0] <= height * other_m <= HUMAN_M[1]:
             return name, other_m, height * other_m
     return None

@@ -15,7 +15,7 @@ from kinedex.catalog.configs import shipped_configs
 from kinedex.catalog.skeletons.body_evidence import SAMPLED_FRAMES
 from kinedex.catalog.skeletons.recognition.recognised_tree import judged_up
 from kinedex.catalog.skeletons.skeleton_fit import Fit, axes_of_up
-from kinedex.catalog.skeletons.units import contradicted_unit, guess_unit
+from kinedex.catalog.skeletons.units import FEET_M, contradicted_unit, guess_unit, rival_unit
 from kinedex.ops.body import kinematics
 from kinedex.ops.body.tempo import likely_rate
 from kinedex.ops.errors import SourceError
@@ -231,6 +231,12 @@ def to_metres(
         name, unit_m, height = guess_unit(path, positions[:, :, frame:], joints)
         unit = f"{unit_m:.6g} m (guessed)"
         evidence.append(f"its unit of length is guessed: {name}, which makes the body {height:.2f} m high")
+        if (rival := rival_unit(unit_m, height)) is not None or name in FEET_M:
+            other = "a rare unit" if rival is None else f"in {rival[0]} it would be {rival[1]:.2f} m high"
+            warnings.append(
+                f"its unit of length is doubtful: in {name} the body is {height:.2f} m high, and is read so; {other}; "
+                "state `unit_m` in a skeleton mapping"
+            )
     elif stated and (other := contradicted_unit(positions[:, :, frame:], joints, unit_m)) is not None:
         name, other_m, height = other
         unit = f"{other_m:.6g} m (guessed)"

@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 from kinedex.catalog.configs import config_names
 from kinedex.catalog.features import load_feature_set
 from kinedex.catalog.skeletons.mappings import Mappings, load_mappings, load_skeleton, stripping
-from kinedex.catalog.skeletons.units import HUMAN_M, UNITS_M, contradicted_unit, guess_unit
+from kinedex.catalog.skeletons.units import ADULT_M, HUMAN_M, UNITS_M, contradicted_unit, guess_unit, rival_unit
 from kinedex.ops.body import features
 from kinedex.ops.errors import ConfigError, SourceError
 from tests.bodies import standing, upright
@@ -292,7 +292,7 @@ def test_a_fault_of_a_mapping_file_is_named_with_line_and_key(tmp_path: Path, fa
     assert str(caught.value.key).startswith(key)
 
 
-@given(height=st.floats(*HUMAN_M, exclude_min=True, exclude_max=True), unit=st.sampled_from(list(UNITS_M)))
+@given(height=st.floats(ADULT_M, HUMAN_M[1], exclude_min=True, exclude_max=True), unit=st.sampled_from(list(UNITS_M)))
 def test_the_unit_is_the_one_that_makes_a_body_as_high_as_a_human(height: float, unit: str) -> None:
     body = standing(1)
     _, _, metres = guess_unit("x", body, JOINTS)
@@ -301,7 +301,40 @@ def test_the_unit_is_the_one_that_makes_a_body_as_high_as_a_human(height: float,
     assert guessed == pytest.approx(height)
 
 
-def test_never_two_units_make_a_human_height() -> None:
+@pytest.mark.parametrize("unit", ["metres", "inches", "cm", "mm"])
+def test_children_in_common_units_are_as_high_as_they_are_without_a_doubt(unit: str) -> None:
+    _, _, metres = guess_unit("x", standing(1), JOINTS)
+    found, unit_m, height = guess_unit("x", standing(1) * (1.05 / metres / UNITS_M[unit]), JOINTS)
+    assert (found, height) == (unit, pytest.approx(1.05))
+    assert rival_unit(unit_m, height) is None
+
+
+@given(height=st.floats(1.0, HUMAN_M[1], exclude_min=True, exclude_max=True))
+def test_decimetres_are_read_as_such_or_have_a_rival(height: float) -> None:
+    _, _, metres = guess_unit("x", standing(1), JOINTS)
+    name, unit_m, guessed = guess_unit("x", standing(1) * (10 * height / metres), JOINTS)
+    assert name == "dm (MakeHuman)"
+    assert guessed == pytest.approx(height)
+    rival = rival_unit(unit_m, guessed)
+    assert (rival is not None) == (height * 0.0254 / 0.45 / 0.1 >= 1.0)
+
+
+def test_feet_are_tried_last() -> None:
+    _, _, metres = guess_unit("x", standing(1), JOINTS)
+    name, _, height = guess_unit("x", standing(1) * (5.8 / metres), JOINTS)
+    assert (name, height) == ("feet", pytest.approx(5.8 * 0.3048))
+
+
+@pytest.mark.parametrize("factor", [10.0, 100.0, 1000.0])
+def test_a_body_that_was_divided_once_too_often_is_restored(factor: float) -> None:
+    _, other_m, height = contradicted_unit(standing(1) / factor, JOINTS, 1.0) or ("", 0.0, 0.0)
+    assert other_m == factor
+    assert height == pytest.approx(1.75, abs=0.12)
+    for size in (0.6, 1.2):  # a child and a tall person are right as they are
+        assert contradicted_unit(standing(1) * size, JOINTS, 1.0) is None
+
+
+def test_never_two_common_units_make_a_human_height() -> None:
     sizes = sorted(UNITS_M.values())
     assert all(larger / smaller > HUMAN_M[1] / HUMAN_M[0] for smaller, larger in pairwise(sizes))
 
@@ -343,7 +376,7 @@ def test_children_giants_and_cartoons_get_the_unit_that_is_likeliest(units: floa
 def test_a_stated_unit_that_makes_no_body_is_contradicted(stated: float, found: str | None) -> None:
     other = contradicted_unit(standing(1) * 1000, JOINTS, stated)
     assert (other and other[0]) == found
-    assert contradicted_unit(standing(1) * 1e5, JOINTS, stated) is None
+    assert contradicted_unit(standing(1) * 1e12, JOINTS, stated) is None
 
 
 @pytest.mark.parametrize(
