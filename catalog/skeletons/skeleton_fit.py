@@ -401,6 +401,13 @@ class Fit:
         """Return the joints that are built from others, and how."""
         return {joint: mix for joint, mix in self.joints.items() if mix is not None and mix.node is None}
 
+    @property
+    def up(self) -> str:
+        """The axis of the file that is vertical: "x", "y" or "z", with a minus where it points down."""
+        row = self.mapping.axes[1]
+        index = int(np.argmax(np.abs(row)))
+        return ("-" if row[index] < 0 else "") + "xyz"[index]
+
     def upright(self, up: str | None) -> Fit:
         """Return the fit with the vertical axis that the file states (None: not stated), if the mapping allows it."""
         mapping = self.mapping

@@ -27,6 +27,7 @@ RECOGNITION_COLUMNS = {
     "estimated_joints": TakeColumn(
         "VARCHAR", "quality", "", "the joints that the file does not hold and that are estimated, with a blank between"
     ),
+    "file_up": TakeColumn("VARCHAR", "quality", "", "the axis of the file that is taken as vertical, such as z or -y"),
 }
 """The declarations of the columns that describe how a skeleton was recognised."""
 
@@ -126,6 +127,7 @@ def measured_quality(body: Body, joints: tuple[str, ...], stored: Collection[str
     """
     figures = figures_of(body, joints)
     recognition = {"recognition_confidence": body.confidence, "estimated_joints": " ".join(body.estimated)}
+    recognition["file_up"] = body.up or None
     columns = {name: value for name, value in (recognition | quality_columns(figures)).items() if name in stored}
     return columns, quality_warnings(figures, body.rate_hz)
 

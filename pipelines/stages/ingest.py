@@ -9,6 +9,7 @@ from typing import Any
 
 import pyarrow as pa
 
+from kinedex.catalog.capture_sessions import session_lines, with_session_warnings
 from kinedex.catalog.plugins import Plugins
 from kinedex.catalog.skeletons.mappings import Mappings
 from kinedex.ops.errors import KinedexError, NewStoreError
@@ -180,6 +181,9 @@ def _describe(
         for row in descriptions(params, joined).changed(here, writer.columns)
     ]
     writer.restate_takes(pa.Table.from_pylist(changed, schema=schema), described=True)
+    described = {row["take_id"]: row for row in changed}
+    compared = with_session_warnings([described.get(row["take_id"], row) for row in here])
+    writer.restate_takes(pa.Table.from_pylist(compared, schema=schema))
     context.message(*join_lines(metadata, joined))
     if changed:
         context.message(
@@ -327,6 +331,7 @@ def _report_read(context: StageContext, names: Collection[str]) -> None:
             f"{counted(len(warned), 'take')} with warnings, such as '{first}': {warnings[0]}; "
             f"`kinedex takes {where} --columns name,warnings --where 'len(warnings) > 0'` lists them"
         )
+    context.message(*session_lines(found))
     if (line := copies_line(store)) is not None:
         context.message(line)
 

@@ -201,6 +201,7 @@ class AcclaimReader(Reader):
             rate_hz=settings.acclaim_hz,
             unit=f"{skeleton.unit_m / skeleton.length_scale:.6g} m",
             skeleton=fit.mapping.name,
+            up=fit.up,
             unknown=fit.unknown,
             warnings=(*motion.warnings, *limb_doubts(positions, joints)),
             evidence=recognition_evidence(fit),

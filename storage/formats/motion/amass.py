@@ -183,6 +183,7 @@ class AmassReader(Reader):
             rate_hz=rate_hz,
             unit=f"{unit_m:.6g} m",
             skeleton=fit.mapping.name,
+            up=fit.up,
             unknown=fit.unknown,
             warnings=tuple(warnings),
             evidence=(*reasons, *recognition_evidence(fit)),

@@ -124,6 +124,7 @@ class BvhReader(Reader):
             rate_hz=rate_hz,
             unit=unit,
             skeleton=fit.mapping.name,
+            up=fit.up,
             unknown=fit.unknown,
             warnings=tuple(warnings),
             estimated=tuple(fit.estimated),

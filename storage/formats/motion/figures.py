@@ -182,6 +182,7 @@ class FigureReader(Reader):
             rate_hz=rate_hz,
             unit=unit,
             skeleton=fit.mapping.name,
+            up=fit.up,
             unknown=fit.unknown,
             warnings=(*warnings, *recognition_warnings(fit), *limb_doubts(positions, joints)),
             estimated=tuple(fit.estimated),

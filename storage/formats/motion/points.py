@@ -152,6 +152,7 @@ def body_of_points(
         rate_hz=rate_hz,
         unit=unit,
         skeleton=fit.mapping.name,
+        up=fit.up,
         unknown=fit.unknown,
         warnings=tuple(warnings),
         valid=None if valid.all() else valid,
@@ -450,8 +451,7 @@ def upright(fit: Fit, evidence: Evidence, warnings: list[str]) -> Fit:
     if fit.mapping.unit_m is not None and evidence.up is None:
         return fit  # the mapping of a single archive states its axes
     judged = up_axis(joint_positions(fit, evidence.positions, None)[0])
-    index = int(np.argmax(np.abs(fit.mapping.axes[1])))
-    taken = ("-" if fit.mapping.axes[1, index] < 0 else "") + "xyz"[index]
+    taken = fit.up
     if not judged.axis and evidence.up is None:
         warnings.append(f"no axis is clearly up ({'; '.join(judged.reasons)}): {taken} is taken")
     if not judged.axis or judged.axis == taken or judged.confidence < SURE_UP:

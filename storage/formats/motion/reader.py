@@ -65,6 +65,8 @@ class Body:
         From 0 to 1, how surely the body was recognised; 1 for a mapping that the names fit exactly.
     evidence : tuple of str
         Sentences on how body, axes and unit were found, for `kinedex inspect`.
+    up : str
+        The axis of the file that is taken as vertical, such as "z" or "-y"; empty if the reader does not tell.
     """
 
     positions: npt.NDArray[np.float64]
@@ -78,6 +80,7 @@ class Body:
     estimated: tuple[str, ...] = ()
     confidence: float = 1.0
     evidence: tuple[str, ...] = ()
+    up: str = ""
 
     @property
     def frames(self) -> int:

@@ -40,7 +40,7 @@ def test_a_store_has_the_figures_as_columns_and_sql_asks_for_them(tmp_path: Path
     store = open_store(tmp_path / "store")
     columns = store.manifest.columns
     assert {name for name, one in columns.items() if one.origin == "quality"} == {
-        "recognition_confidence", "estimated_joints", *(figure.name for figure in FIGURES),
+        "recognition_confidence", "estimated_joints", "file_up", *(figure.name for figure in FIGURES),
     }  # fmt: skip
     assert columns["height_m"].unit == "m"
     rows = {row["name"]: row for row in store.takes().to_dicts()}
@@ -88,3 +88,24 @@ def test_inspect_prints_figures_limits_and_what_is_off(tmp_path: Path) -> None:
     assert "height_m 4.51 m, expected 0.8 to 2.3 m: OFF" in texts
     assert any("left is on the left" in text for text in texts)
     assert any(text.startswith("height_m is 4.51 m, expected 0.8 to 2.3 m (height") for text in texts)
+
+
+@pytest.mark.parametrize("executor", ["serial", "processes"])
+def test_a_file_that_contradicts_its_folder_is_warned_of_whatever_order_files_come_in(
+    tmp_path: Path, executor: str
+) -> None:
+    def take_in(store: Path) -> list[tuple[str, list[str]]]:
+        Ingest().run(context(store, executor=executor), Ingest.parameters(source=str(tmp_path / "day")))
+        return sorted((row["name"], row["warnings"]) for row in open_store(store).takes().to_dicts())
+
+    write_walk(tmp_path / "day" / "small.npz", scale=0.55)
+    write_walk(tmp_path / "day" / "walk0.npz")
+    first = take_in(tmp_path / "store")
+    assert "unlike the files beside it" not in str(first)
+    for number in range(1, 8):
+        write_walk(tmp_path / "day" / f"walk{number}.npz", scale=1 + number / 500)
+    found = take_in(tmp_path / "store")
+    warned = {name: warnings for name, warnings in found if "unlike the files beside it" in str(warnings)}
+    assert list(warned) == ["small"]
+    assert "its body is 0.98 m high, theirs 1.79 m" in warned["small"][-1]
+    assert found == take_in(tmp_path / "another")

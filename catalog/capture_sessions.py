@@ -1,0 +1,199 @@
+"""Compare the takes of a capture session, which are those of one folder: a file that contradicts the others is suspect.
+
+One file alone cannot show that its scale or its rate is wrong where a person of that size could move so; the files
+that were recorded with it can. Files of one folder, format, skeleton file and person are a session. It decides
+something if at least `FILES` files besides the one in question, and a share of `SHARE` of all, agree on it.
+"""
+
+from __future__ import annotations
+
+import os
+import statistics
+from collections import Counter
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+from kinedex.ops.wording import counted
+
+Row = Mapping[str, Any]
+
+FILES, SHARE = 4, 0.75
+
+SESSION = "unlike the files beside it: "
+"""The beginning of warnings on takes that contradict their session."""
+
+_SAME_BODY, _OTHER_BODY = 1.05, 1.1
+"""Ratios of heights within which a session has one body, and beyond which a take of it has another."""
+
+_ANY_BODIES = 1.8
+"""The ratio of heights that lies between the tallest and the smallest person of a session of several, and no more."""
+
+_SAME_RATE = 0.01
+_SAME_LIMB, _OTHER_LIMB = 1.08, 1.25
+_SAME_TEMPO, _OTHER_TEMPO, _OTHER_SPEED = 1.35, 1.8, 1.4
+"""Ratios of tempo within which motions are of one kind, and of tempo and speed that only a wrong rate makes of them; no
+take of HDM05, CMU and Bandai is beyond both."""
+
+_LIMBS = {"thigh": "thighs", "shank": "shanks", "upper_arm": "upper arms", "forearm": "forearms"}
+
+
+def session_of(row: Row) -> tuple[object, ...]:
+    """Return the session of a take: its folder, format, skeleton file and person."""
+    folder = os.path.dirname(row["source"])
+    return row["source_root"], folder, row["format"], row.get("skeleton_source"), row.get("person")
+
+
+def with_session_warnings(rows: Sequence[Row]) -> list[dict[str, Any]]:
+    """Return the rows of takes whose warnings on contradictions within their session change, with the new warnings.
+
+    Parameters
+    ----------
+    rows : sequence of mapping
+        The rows of all takes of a source.
+    """
+    found = session_warnings(rows)
+    changed = []
+    for row in rows:
+        others = [warning for warning in row["warnings"] if not warning.startswith(SESSION)]
+        warnings = [*others, *found.get(row["take_id"], ())]
+        if warnings != row["warnings"]:
+            changed.append({**row, "warnings": warnings})
+    return changed
+
+
+def session_warnings(rows: Iterable[Row]) -> dict[int, list[str]]:
+    """Return take id → sentences on what contradicts the take's session, with the figures of both.
+
+    Parameters
+    ----------
+    rows : iterable of mapping
+        Rows of takes, with their quality figures; unknown figures are None or missing.
+    """
+    found: dict[int, list[str]] = {}
+    for takes in sessions(rows):
+        for take_id, sentence in _contradictions(takes):
+            found.setdefault(take_id, []).append(SESSION + sentence)
+    return found
+
+
+def session_lines(warnings: Mapping[str, Sequence[str]]) -> list[str]:
+    """Return a message on the takes that contradict their sessions, given the warnings of takes by their names."""
+    alone = [(name, one) for name, those in warnings.items() for one in those if one.startswith(SESSION)]
+    if not alone:
+        return []
+    name, warning = alone[0]
+    return [f"{counted(len(dict(alone)), 'take')} {SESSION}such as '{name}': {warning.removeprefix(SESSION)}"]
+
+
+def sessions(rows: Iterable[Row]) -> Iterator[list[Row]]:
+    """Yield the takes of each session that has enough files to decide anything."""
+    takes: dict[tuple[object, ...], list[Row]] = {}
+    for row in rows:
+        takes.setdefault(session_of(row), []).append(row)
+    return (those for those in takes.values() if len(those) > FILES)
+
+
+def agreed(takes: Sequence[Row], name: str) -> Any | None:
+    """Return the value of a column on which a session agrees; None if it does not."""
+    counts = Counter(row[name] for row in takes if row.get(name) is not None)
+    if not counts:
+        return None
+    value, count = counts.most_common(1)[0]
+    return value if _is_agreed(count, counts.total()) else None
+
+
+def _is_agreed(count: int, total: int) -> bool:
+    return count >= FILES and count >= SHARE * total
+
+
+def _contradictions(takes: Sequence[Row]) -> Iterator[tuple[int, str]]:
+    for compare in (_rates, _axes, _estimates, _bodies, _tempos):
+        yield from compare(takes)
+
+
+def _rates(takes: Sequence[Row]) -> Iterator[tuple[int, str]]:
+    usual = agreed([{"rate": f"{row['source_rate_hz']:.4g}"} for row in takes], "rate")
+    for row in takes if usual is not None else ():
+        rate_hz = row["source_rate_hz"]
+        if abs(rate_hz / float(usual) - 1) > _SAME_RATE:
+            figures = f"it is read at {rate_hz:.6g} Hz, they at {usual} Hz"
+            yield row["take_id"], f"{figures}; if its rate is wrong, give it by --rate to an ingest of this file alone"
+
+
+def _axes(takes: Sequence[Row]) -> Iterator[tuple[int, str]]:
+    usual = agreed(takes, "file_up")
+    for row in takes if usual is not None else ():
+        up = row.get("file_up")
+        if up not in (None, usual):
+            figures = f"{up} is taken as its vertical axis, {usual} as theirs"
+            yield row["take_id"], f"{figures}; if it stands along {usual}, state `up: {usual}` in a skeleton mapping"
+
+
+def _estimates(takes: Sequence[Row]) -> Iterator[tuple[int, str]]:
+    """Yield the takes in which joints are estimated that the other files of the session hold."""
+    known = [row for row in takes if row.get("estimated_joints") is not None]
+    counts = Counter(joint for row in known for joint in row["estimated_joints"].split())
+    held = {joint for joint, count in counts.items() if _is_agreed(len(known) - count, len(known))}
+    for row in known:
+        if lacks := [joint for joint in row["estimated_joints"].split() if joint in held]:
+            yield row["take_id"], f"{', '.join(lacks)} estimated, held by them; it lacks labels or bones"
+
+
+@dataclass(frozen=True)
+class _Typical:
+    """The median of a figure in a session, and the share of takes near it."""
+
+    median: float
+    near: int
+    total: int
+
+    @property
+    def is_clear(self) -> bool:
+        return _is_agreed(self.near, self.total)
+
+
+def _typical(values: Iterable[float], ratio: float) -> _Typical:
+    known = list(values)
+    median = statistics.median(known) if known else 0.0
+    near = sum(median / ratio <= value <= median * ratio for value in known)
+    return _Typical(median, near if median > 0 else 0, len(known))
+
+
+def _values(takes: Sequence[Row], name: str) -> dict[int, float]:
+    return {row["take_id"]: row[name] for row in takes if row.get(name) is not None}
+
+
+def _beyond(value: float, median: float, ratio: float) -> bool:
+    return not median / ratio <= value <= median * ratio
+
+
+def _bodies(takes: Sequence[Row]) -> Iterator[tuple[int, str]]:
+    """Yield the takes whose bodies have another height, or limbs of another length, than those of the session."""
+    heights = _values(takes, "height_m")
+    one, several = _typical(heights.values(), _SAME_BODY), _typical(heights.values(), _ANY_BODIES)
+    usual, limit = (one, _OTHER_BODY) if one.is_clear else (several, _ANY_BODIES)
+    others = {take for take, height in heights.items() if usual.is_clear and _beyond(height, usual.median, limit)}
+    for take in sorted(others):
+        figures = f"its body is {heights[take]:.2f} m high, theirs {usual.median:.2f} m"
+        yield take, f"{figures}; it is another person, or unit or scale is wrong: state `unit_m` in a skeleton mapping"
+    for column, limb in _LIMBS.items() if one.is_clear else ():
+        shares = _values(takes, f"{column}_share")
+        lengths = {take: share * heights[take] for take, share in shares.items() if take in heights}
+        length = _typical(lengths.values(), _SAME_LIMB)
+        for take, value in lengths.items():
+            if length.is_clear and take not in others and _beyond(value, length.median, _OTHER_LIMB):
+                figures = f"its {limb} are {value:.2f} m long, theirs {length.median:.2f} m"
+                yield take, f"{figures}; labels or bones may be exchanged"
+
+
+def _tempos(takes: Sequence[Row]) -> Iterator[tuple[int, str]]:
+    """Yield the takes in a session of motions of one kind that are faster or slower than a person would repeat them."""
+    tempos, speeds = _values(takes, "tempo_hz"), _values(takes, "speed_m_s")
+    tempo, speed = _typical(tempos.values(), _SAME_TEMPO), _typical(speeds.values(), _OTHER_SPEED)
+    for take, value in tempos.items() if tempo.is_clear and speed.is_clear else ():
+        fast = value > tempo.median * _OTHER_TEMPO and speeds[take] > speed.median * _OTHER_SPEED
+        slow = value < tempo.median / _OTHER_TEMPO and speeds[take] < speed.median / _OTHER_SPEED
+        if fast or slow:
+            figures = f"its hands and feet turn {value:.2g} times a second, theirs {tempo.median:.2g} times"
+            yield take, f"{figures}; if its rate is wrong, give it by --rate to an ingest of this file alone"
