@@ -1,4 +1,4 @@
-"""Compare the takes of a capture session, which are those of one folder: a file that contradicts the others is suspect.
+"""Compare the takes of a capture session: what contradicts the others is suspect, and what is open they decide.
 
 One file alone cannot show that its scale or its rate is wrong where a person of that size could move so; the files
 that were recorded with it can. Files of one folder, format, skeleton file and person are a session. It decides
@@ -7,6 +7,7 @@ something if at least `FILES` files besides the one in question, and a share of 
 
 from __future__ import annotations
 
+import json
 import os
 import statistics
 from collections import Counter
@@ -22,6 +23,12 @@ FILES, SHARE = 4, 0.75
 
 SESSION = "unlike the files beside it: "
 """The beginning of warnings on takes that contradict their session."""
+
+OPEN_UP, OPEN_RATE = "no axis is clearly up", "its rate is wrong: it states "
+"""The beginnings of warnings on takes whose vertical axis or rate does not follow from their file."""
+
+BY_SESSION = "as in the other files of its folder"
+"""The words by which such a warning says that the session has decided."""
 
 _SAME_BODY, _OTHER_BODY = 1.05, 1.1
 """Ratios of heights within which a session has one body, and beyond which a take of it has another."""
@@ -75,6 +82,66 @@ def session_warnings(rows: Iterable[Row]) -> dict[int, list[str]]:
         for take_id, sentence in _contradictions(takes):
             found.setdefault(take_id, []).append(SESSION + sentence)
     return found
+
+
+def is_undecided(row: Row) -> bool:
+    """Return whether the vertical axis or the rate of a take does not follow from its own file."""
+    return _has(row, OPEN_UP) or _has(row, OPEN_RATE)
+
+
+def decided_recipes(rows: Iterable[Row]) -> dict[int, str]:
+    """Return take id → new recipe of the takes that other takes of their session decide otherwise than before.
+
+    The other takes decide if they are sure and agree, be it a single one, such as the static trial beside a motion.
+
+    Parameters
+    ----------
+    rows : iterable of mapping
+        The rows of all takes of a source.
+    """
+    takes: dict[tuple[object, ...], list[Row]] = {}
+    for row in rows:
+        takes.setdefault(session_of(row), []).append(row)
+    found = {}
+    for those in takes.values():
+        undecided = [row for row in those if is_undecided(row)]
+        if undecided:
+            up = _decided(row["file_up"] for row in those if row.get("file_up") and not _has(row, OPEN_UP))
+            rate_hz = _decided(row["source_rate_hz"] for row in those if not _has(row, OPEN_RATE))
+        for row in undecided:
+            now: dict[str, Any] = {"session_up": up} if up is not None and _has(row, OPEN_UP) else {}
+            now |= {"session_hz": rate_hz} if rate_hz is not None and _has(row, OPEN_RATE) else {}
+            if now != decisions_in(row["recipe"]):
+                found[row["take_id"]] = _with_decisions(row["recipe"].partition(" ")[0], now)
+    return found
+
+
+def decisions_in(recipe: str) -> dict[str, Any]:
+    """Return the settings of `ReadSettings` that the session of a take has decided, which follow its recipe's hash."""
+    text = recipe.partition(" ")[2]
+    return dict(json.loads(text)) if text else {}
+
+
+def same_decisions(recipe: str, row: Row) -> str:
+    """Return a new recipe of a take with the decisions of its session."""
+    return _with_decisions(recipe, decisions_in(row["recipe"]))
+
+
+def _with_decisions(recipe: str, decisions: Mapping[str, Any]) -> str:
+    return f"{recipe} {json.dumps(decisions)}" if decisions else recipe
+
+
+def _has(row: Row, beginning: str) -> bool:
+    return any(warning.startswith(beginning) for warning in row["warnings"])
+
+
+def _decided(values: Iterable[Any]) -> Any | None:
+    """Return the value that all share, or on which most agree as in `agreed`; None if there is none."""
+    counts = Counter(values)
+    if not counts:
+        return None
+    value, count = counts.most_common(1)[0]
+    return value if len(counts) == 1 or _is_agreed(count, counts.total()) else None
 
 
 def session_lines(warnings: Mapping[str, Sequence[str]]) -> list[str]:

@@ -7,6 +7,7 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
+from kinedex.catalog.capture_sessions import decisions_in
 from kinedex.catalog.features import FeatureSet
 from kinedex.catalog.skeletons.mappings import Mappings
 from kinedex.ops.arrays import F64, U64
@@ -42,7 +43,8 @@ class Task:
     groups : dict of str to str
         The named groups of its path.
     recipe : str
-        A hash of everything that the take depends on, except its file.
+        A hash of everything except the file that the take depends on, and what other files decide for it
+        (`catalog.capture_sessions.decisions_in`).
     warnings : tuple of str
         Warnings about the file.
     person : str or None
@@ -174,7 +176,8 @@ def _read(batch: Batch, task: Task) -> tuple[str, Body | tuple[str, ...]]:
             return "", persons
         # computed last: it reads the whole file, which would delay the division of work among processes
         content = file.checksum or (checksum(motion) if data is None else hashlib.sha256(data).hexdigest())
-        body = read_body(motion, asf, batch.mappings, batch.feature_set.joints, batch.given, data, task.person or "")
+        given = replace(batch.given, **decisions_in(task.recipe))
+        body = read_body(motion, asf, batch.mappings, batch.feature_set.joints, given, data, task.person or "")
         if data is None and _stamp(motion) != before:
             raise SourceError(motion, "was changed while it was read; run again when it is whole")
     return content, file.restated_body(body)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from collections import deque
 from collections.abc import Callable, Generator, Iterable, Iterator, Sequence
 from contextlib import closing
@@ -12,6 +11,7 @@ from typing import Any, ClassVar, Protocol, TypeVar
 import numpy as np
 import pyarrow as pa
 
+from kinedex.catalog.capture_sessions import decided_recipes
 from kinedex.catalog.features import FeatureSet
 from kinedex.catalog.skeletons.mappings import Mappings
 from kinedex.ops import textnumbers
@@ -26,8 +26,9 @@ from kinedex.pipelines.ingestion.file_failures import Failure, fatal_failure, fi
 from kinedex.pipelines.ingestion.memory_limit import MemoryShare
 from kinedex.pipelines.ingestion.parameters import IngestParameters
 from kinedex.pipelines.ingestion.source_changes import SourceChanges
-from kinedex.storage.formats.motion.sources import UNREAD, Scan
-from kinedex.storage.snapshot.schemas import TakeColumn, column_problem, result_schema
+from kinedex.storage.formats.motion.sources import Scan
+from kinedex.storage.snapshot.file_outcomes import Outcome
+from kinedex.storage.snapshot.schemas import TakeColumn, column_problem
 from kinedex.storage.store.writer import StoreWriter
 
 Result = TypeVar("Result")
@@ -179,6 +180,8 @@ class ReadPasses:
         self.writer = writer
         self.plan = plan
         self.done = FilesRead()
+        self._tasks = {task.take_id: task for task in plan.undecided}
+        self._rows = {row["take_id"]: row for file in plan.unchanged.values() for row in file.rows}
 
     def run(self) -> FilesRead:
         """Read all files, commit them batch by batch, and return the outcome."""
@@ -189,7 +192,14 @@ class ReadPasses:
         while tasks:
             several = self._read(tasks)
             tasks = [] if self._is_stopped else self._persons(several)
+        if not self._is_stopped and (again := self._decided()):
+            self._read(again)
         return self.done
+
+    def _decided(self) -> list[Task]:
+        """Return tasks for the files whose axis or rate only the other files of their folders decide."""
+        recipes = decided_recipes(self._rows.values())
+        return [replace(self._tasks[take], recipe=recipes[take]) for take in sorted(recipes) if take in self._tasks]
 
     @property
     def _is_stopped(self) -> bool:
@@ -223,8 +233,11 @@ class ReadPasses:
         """Commit the takes of a batch."""
         self.done.failures += written.failures
         for row in written.takes:
-            self.done.takes.setdefault(row["source"], []).append(row["name"])
+            names = self.done.takes.setdefault(row["source"], [])
+            names += [] if row["name"] in names else [row["name"]]
+            self._rows[row["take_id"]] = row
             self.done.skeletons.add(row["skeleton"])
+        self._tasks.update((task.take_id, task) for task in batch.tasks)
         for task in batch.tasks:
             file = self.plan.known.get(task.motion.path)
             if task.person is None and file is not None and any(row["name"] == task.name for row in written.takes):
@@ -303,15 +316,15 @@ def _compile_kernels(feature_set: FeatureSet) -> None:
     plausibility(np.random.default_rng(0).normal(size=(len(feature_set.joints), 3, 9)), feature_set.joints, 30.0)
 
 
-def file_table(found: Scan, root: str, plan: SourceChanges, done: FilesRead, failures: Sequence[Failure]) -> pa.Table:
-    """Return a row for every file of a source.
+def motion_outcomes(
+    found: Scan, plan: SourceChanges, done: FilesRead, failures: Sequence[Failure]
+) -> Iterator[Outcome]:
+    """Yield path, outcome, number of takes and reason of every motion file.
 
     Parameters
     ----------
     found : Scan
         The files.
-    root : str
-        The source root.
     plan : SourceChanges
         The changes of the source, with its unchanged files.
     done : FilesRead
@@ -319,25 +332,6 @@ def file_table(found: Scan, root: str, plan: SourceChanges, done: FilesRead, fai
     failures : sequence of Failure
         The files and persons that could not be read.
     """
-    schema = result_schema("source_files").remove(0)  # `run` is written by the store
-    rows = [
-        {
-            "source_root": root,
-            "source": path,
-            "ending": os.path.splitext(path)[1].lower(),
-            "outcome": outcome,
-            "takes": takes,
-            "reason": reason,
-        }
-        for path, outcome, takes, reason in _outcomes(found, plan, done, failures)
-    ]
-    return pa.Table.from_pylist(sorted(rows, key=lambda row: str(row["source"])), schema=schema)
-
-
-def _outcomes(
-    found: Scan, plan: SourceChanges, done: FilesRead, failures: Sequence[Failure]
-) -> Iterator[tuple[str, str, int, str | None]]:
-    """Yield path, outcome, number of takes and reason of every file."""
     reasons: dict[str, list[str]] = {}
     for one in failures:
         reasons.setdefault(one.source, []).append(one.message)
@@ -350,13 +344,3 @@ def _outcomes(
             yield motion.path, "in", len(file.rows), copy
         else:
             yield motion.path, "refused" if reason else "not read", 0, reason or "strict stopped before this file"
-    for refused in found.refused:
-        yield refused.path, "refused", 0, str(refused.fault)
-    for skeleton in found.skeletons:
-        yield skeleton.path, "skeleton", 0, None
-    for unread in found.unread:
-        yield unread.path, "not read", 0, UNREAD[f".{unread.format}"]
-    for sidecar in found.sidecars:
-        yield sidecar.path, "metadata", 0, None
-    for other in found.passed_over:
-        yield other.path, "passed over", 0, other.kind

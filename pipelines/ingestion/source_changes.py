@@ -14,6 +14,7 @@ from typing import Any
 
 import pyarrow as pa
 
+from kinedex.catalog.capture_sessions import is_undecided
 from kinedex.catalog.feature_definitions import PRIMITIVES
 from kinedex.catalog.features import FeatureSet
 from kinedex.catalog.skeletons.mappings import Mappings
@@ -79,6 +80,8 @@ class SourceChanges:
         Path → name of new files that are named by their paths, because others have the same stem.
     recipes : dict of str to str
         Path → recipe of the files.
+    undecided : list of Task
+        Unchanged files whose axis or rate other files of their folders may decide otherwise than before.
     """
 
     tasks: list[Task]
@@ -94,6 +97,7 @@ class SourceChanges:
     known: dict[str, KnownFile]
     by_path: dict[str, str]
     recipes: dict[str, str]
+    undecided: list[Task]
 
 
 def compare_source(
@@ -145,11 +149,13 @@ def compare_source(
             groups = path_groups(motion.path, compiled)
             of_skeleton = skeleton_sums.of(skeleton) if skeleton is not None else ""
             made = work.recipes[motion.path] = recipe_of(made_by[motion.format], of_skeleton)
-            if work.is_unchanged(motion, partial(has_recipe, made_by[motion.format], of_skeleton), damaged):
-                continue
             warnings = (*(() if groups is not None or not compiled else (NO_PATTERN,)), *doubts)
-            name = work.names[motion.path]
-            work.tasks.append(Task(name, -1, motion, skeleton, dict(groups or {}), made, warnings))
+            task = Task(work.names[motion.path], -1, motion, skeleton, dict(groups or {}), made, warnings)
+            if not work.is_unchanged(motion, partial(has_recipe, made_by[motion.format], of_skeleton), damaged):
+                work.tasks.append(task)
+            elif (file := work.unchanged[motion.path]).place == (motion.root, motion.path):
+                kept = [row for row in file.rows if is_undecided(row) and not file.rows_at(motion, [row])]
+                work.undecided += [_task_of(row, task) for row in kept]
         except SourceError as fault:
             work.failures.append(file_failure(motion, fault))
     return work.result(sorted(damaged), skeleton_sums.table())
@@ -175,6 +181,7 @@ class _Comparison:
         self.by_path: dict[str, str] = {}
         self.recipes: dict[str, str] = {}
         self.tasks: list[Task] = []
+        self.undecided: list[Task] = []
         self.unchanged: dict[str, KnownFile] = {}
         self.restated: list[Row] = []
         self.surplus: list[int] = []
@@ -263,8 +270,14 @@ class _Comparison:
         gone = [row["take_id"] for file in vanished if not self.found.hidden(file.path) for row in file.rows]
         return SourceChanges(
             tasks, self.unchanged, damaged, self.restated, gone, self.surplus, self.renamed, self.failures, skeletons,
-            self.take_names, self.known, self.by_path, self.recipes,
+            self.take_names, self.known, self.by_path, self.recipes, self.undecided,
         )  # fmt: skip
+
+
+def _task_of(row: Row, task: Task) -> Task:
+    """Return the task that reads an unchanged take again."""
+    person, persons = row.get("person"), row.get("persons") or 1
+    return replace(task, take_id=row["take_id"], name=row["name"], person=person, persons=persons)
 
 
 def recipe_of(made_by: str, skeleton: str, groups: Mapping[str, str] | None = None) -> str:
@@ -283,11 +296,12 @@ def recipe_of(made_by: str, skeleton: str, groups: Mapping[str, str] | None = No
 
 
 def has_recipe(made_by: str, skeleton: str, row: Mapping[str, Any]) -> bool:
-    """Return whether a stored take has the recipe of a format and a skeleton file, in its present or former form."""
-    if row["recipe"] == recipe_of(made_by, skeleton):
+    """Return whether a take was made with a recipe, the hash of what it depends on; earlier forms count as well."""
+    made = row["recipe"].partition(" ")[0]
+    if made == recipe_of(made_by, skeleton):
         return True
     groups = {name: row[name] for name in EVERYWHERE if row[name] is not None} | json.loads(row["groups"] or "{}")
-    return bool(row["recipe"] == recipe_of(made_by, skeleton, groups))
+    return bool(made == recipe_of(made_by, skeleton, groups))
 
 
 def recipes(feature_set: FeatureSet, mappings: Mappings, settings: ReadSettings) -> dict[str, str]:

@@ -9,7 +9,7 @@ from typing import Any
 
 import pyarrow as pa
 
-from kinedex.catalog.capture_sessions import session_lines, with_session_warnings
+from kinedex.catalog.capture_sessions import same_decisions, session_lines, with_session_warnings
 from kinedex.catalog.plugins import Plugins
 from kinedex.catalog.skeletons.mappings import Mappings
 from kinedex.ops.errors import KinedexError, NewStoreError
@@ -31,7 +31,7 @@ from kinedex.pipelines.ingestion.metadata import (
     unmatched_paths,
 )
 from kinedex.pipelines.ingestion.parameters import IngestParameters, chosen_mappings, remembered_line, with_remembered
-from kinedex.pipelines.ingestion.read_passes import FilesRead, ReadPasses, file_table
+from kinedex.pipelines.ingestion.read_passes import FilesRead, ReadPasses, motion_outcomes
 from kinedex.pipelines.ingestion.source_changes import (
     SourceChanges,
     compare_source,
@@ -45,6 +45,7 @@ from kinedex.storage.formats.motion.body_models import model_digest
 from kinedex.storage.formats.motion.reader_table import READERS, motion_endings
 from kinedex.storage.formats.motion.sources import Scan, scan
 from kinedex.storage.remedies import repair
+from kinedex.storage.snapshot.file_outcomes import file_table
 from kinedex.storage.snapshot.manifest_files import read_newest, versions
 from kinedex.storage.snapshot.schemas import RECORDED_FORMATS, TakeColumn, column_problem
 from kinedex.storage.store.compaction import compact
@@ -113,7 +114,7 @@ class Ingest(Stage[IngestParameters]):
             if not (params.strict and plan.failures):
                 done = ReadPasses(context, params, mappings, writer, plan).run()
             failures = [*plan.failures, *done.failures]
-            files = file_table(found, root, plan, done, failures)
+            files = file_table(found, motion_outcomes(found, plan, done, failures), root)
             log = log_table(failures, context.run)
             for kind, table in {"ingest_log": log, "source_files": files, "skeleton_files": plan.skeletons}.items():
                 writer.put_results(kind, table, stage=context.key(), run=context.run)
@@ -177,7 +178,7 @@ def _describe(
     here = [row for row in read if row["source_root"] == root]
     joined = metadata.join(here, root, writer.columns)
     changed = [
-        row | ({"recipe": plan.recipes[row["source"]]} if row["source"] in plan.unchanged else {})
+        row | ({"recipe": same_decisions(plan.recipes[row["source"]], row)} if row["source"] in plan.unchanged else {})
         for row in descriptions(params, joined).changed(here, writer.columns)
     ]
     writer.restate_takes(pa.Table.from_pylist(changed, schema=schema), described=True)

@@ -246,4 +246,4 @@ class C3dReader(Reader):
         evidence = evidence_of(markers, markers.up)
         fit = mappings.detect(file.path, "c3d", markers.indices(), evidence).upright(markers.up)
         warnings = [*markers.warnings, *recognition_warnings(fit)]
-        return FittedPoints(markers, upright(fit, evidence, warnings), warnings)
+        return FittedPoints(markers, upright(fit, evidence, warnings, settings.session_up), warnings)

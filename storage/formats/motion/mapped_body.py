@@ -11,6 +11,7 @@ from typing import Protocol
 import numpy as np
 import numpy.typing as npt
 
+from kinedex.catalog.capture_sessions import BY_SESSION, OPEN_RATE
 from kinedex.catalog.configs import shipped_configs
 from kinedex.catalog.skeletons.body_evidence import SAMPLED_FRAMES
 from kinedex.catalog.skeletons.recognition.recognised_tree import judged_up
@@ -75,6 +76,10 @@ def corrected_rate(
     if SLOWEST_LIKELY_HZ <= stated_hz <= FASTEST_LIKELY_HZ:
         return stated_hz
     claim = statement or f"{stated_hz:.6g} Hz"
+    if settings.session_hz is not None:
+        rate = f"{settings.session_hz:g} Hz, {BY_SESSION}"
+        warnings.append(f"{OPEN_RATE}{claim}; it is read at {rate}; if you know the rate, give --rate HZ")
+        return settings.session_hz
     tracks = positions[[i for i, joint in enumerate(joints) if joint in _SWUNG]]
     likely = likely_rate(tracks[np.isfinite(tracks).any(axis=(1, 2))])
     stated = math.isfinite(stated_hz) and stated_hz > 0
@@ -83,7 +88,7 @@ def corrected_rate(
     if likely is None or (stated and 1 / _FAR <= stated_hz / likely <= _FAR):
         return stated_hz
     warnings.append(
-        f"its rate is wrong: it states {claim}, but hands and feet move as they do at about {likely:g} Hz, at which it "
+        f"{OPEN_RATE}{claim}, but hands and feet move as they do at about {likely:g} Hz, at which it "
         "is read; if you know the rate, give --rate HZ"
     )
     return likely

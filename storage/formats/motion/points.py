@@ -15,6 +15,7 @@ from typing import ClassVar, NamedTuple, Self, TypeVar
 import numpy as np
 import numpy.typing as npt
 
+from kinedex.catalog.capture_sessions import BY_SESSION, OPEN_UP
 from kinedex.catalog.skeletons.body_evidence import SAMPLED_FRAMES, Evidence
 from kinedex.catalog.skeletons.mappings import Format, Mappings
 from kinedex.catalog.skeletons.recognition.landmarks import load_landmarks
@@ -417,7 +418,7 @@ class PointsReader(Reader):
         fit = mappings.detect(file.path, "positions", points.indices(), evidence)
         warnings = [*points.warnings, *recognition_warnings(fit)]
         if "positions" not in mappings.forced:
-            fit = upright(fit, evidence, warnings)
+            fit = upright(fit, evidence, warnings, settings.session_up)
         return FittedPoints(points, fit, warnings)
 
 
@@ -436,7 +437,7 @@ def evidence_of(points: Points, up: str | None = None) -> Evidence:
     return Evidence(points.names, points.positions[:, :, sample], up=up, unit_m=points.unit_m)
 
 
-def upright(fit: Fit, evidence: Evidence, warnings: list[str]) -> Fit:
+def upright(fit: Fit, evidence: Evidence, warnings: list[str], session_up: str = "") -> Fit:
     """Return the fit rotated upright if no up axis is stated; warn if the body contradicts the stated axis.
 
     Parameters
@@ -447,13 +448,18 @@ def upright(fit: Fit, evidence: Evidence, warnings: list[str]) -> Fit:
         The points in some frames, and the axis that the file states as vertical.
     warnings : list of str
         A sentence is appended if the body stands along another axis than the file states.
+    session_up : str, optional
+        The vertical axis of the other files of the folder, which counts where no axis is clearly up.
     """
     if fit.mapping.unit_m is not None and evidence.up is None:
         return fit  # the mapping of a single archive states its axes
     judged = up_axis(joint_positions(fit, evidence.positions, None)[0])
     taken = fit.up
-    if not judged.axis and evidence.up is None:
-        warnings.append(f"no axis is clearly up ({'; '.join(judged.reasons)}): {taken} is taken")
+    if evidence.up is None and judged.axis != taken and judged.confidence < SURE_UP:
+        by_session = f", {BY_SESSION}" if session_up else ""
+        warnings.append(f"{OPEN_UP} ({'; '.join(judged.reasons)}): {session_up or taken} is taken{by_session}")
+        turned = session_up not in ("", taken)
+        return replace(fit, mapping=replace(fit.mapping, axes=axes_of_up(session_up))) if turned else fit
     if not judged.axis or judged.axis == taken or judged.confidence < SURE_UP:
         return fit
     if evidence.up is not None:

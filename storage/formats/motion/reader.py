@@ -103,12 +103,18 @@ class ReadSettings:
         longer gap are invalid.
     body_model : str, optional
         Body model with the rest joints for AMASS files, see `storage.formats.motion.amass`.
+    session_up : str
+        The vertical axis of the other files of the folder, for a file in which no axis is clearly up.
+    session_hz : float, optional
+        The rate of the other files of the folder, for a file whose own is impossible.
     """
 
     rate_hz: float | None = None
     override_rate_hz: float | None = None
     fill_gap_frames: int | None = None
     body_model: str | None = None
+    session_up: str = ""
+    session_hz: float | None = None
 
     @property
     def acclaim_hz(self) -> float:
