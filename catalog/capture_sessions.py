@@ -27,6 +27,9 @@ SESSION = "unlike the files beside it: "
 OPEN_UP, OPEN_RATE = "no axis is clearly up", "its rate is wrong: it states "
 """The beginnings of warnings on takes whose vertical axis or rate does not follow from their file."""
 
+NO_RATE = "it does not state its frames per second"
+"""The beginning of a warning on a take, or the reason why a file is refused, whose rate only its session can decide."""
+
 BY_SESSION = "as in the other files of its folder"
 """The words by which such a warning says that the session has decided."""
 
@@ -86,7 +89,24 @@ def session_warnings(rows: Iterable[Row]) -> dict[int, list[str]]:
 
 def is_undecided(row: Row) -> bool:
     """Return whether the vertical axis or the rate of a take does not follow from its own file."""
-    return _has(row, OPEN_UP) or _has(row, OPEN_RATE)
+    return _has(row, OPEN_UP) or _has(row, OPEN_RATE, NO_RATE)
+
+
+def refused_row(take_id: int, place: tuple[str, str, str], recipe: str) -> Row:
+    """Return a row for a file that was refused because it states no rate, for `decided_recipes`.
+
+    Parameters
+    ----------
+    take_id : int
+        The id that its take would have.
+    place : (str, str, str)
+        The source root, the path below it, and the format.
+    recipe : str
+        The recipe that its take would have.
+    """
+    root, path, form = place
+    row = {"take_id": take_id, "source_root": root, "source": path, "format": form}
+    return row | {"recipe": recipe, "warnings": [NO_RATE]}
 
 
 def decided_recipes(rows: Iterable[Row]) -> dict[int, str]:
@@ -107,10 +127,10 @@ def decided_recipes(rows: Iterable[Row]) -> dict[int, str]:
         undecided = [row for row in those if is_undecided(row)]
         if undecided:
             up = _decided(row["file_up"] for row in those if row.get("file_up") and not _has(row, OPEN_UP))
-            rate_hz = _decided(row["source_rate_hz"] for row in those if not _has(row, OPEN_RATE))
+            rate_hz = _decided(row["source_rate_hz"] for row in those if not _has(row, OPEN_RATE, NO_RATE))
         for row in undecided:
             now: dict[str, Any] = {"session_up": up} if up is not None and _has(row, OPEN_UP) else {}
-            now |= {"session_hz": rate_hz} if rate_hz is not None and _has(row, OPEN_RATE) else {}
+            now |= {"session_hz": rate_hz} if rate_hz is not None and _has(row, OPEN_RATE, NO_RATE) else {}
             if now != decisions_in(row["recipe"]):
                 found[row["take_id"]] = _with_decisions(row["recipe"].partition(" ")[0], now)
     return found
@@ -131,8 +151,8 @@ def _with_decisions(recipe: str, decisions: Mapping[str, Any]) -> str:
     return f"{recipe} {json.dumps(decisions)}" if decisions else recipe
 
 
-def _has(row: Row, beginning: str) -> bool:
-    return any(warning.startswith(beginning) for warning in row["warnings"])
+def _has(row: Row, *beginnings: str) -> bool:
+    return any(warning.startswith(beginnings) for warning in row["warnings"])
 
 
 def _decided(values: Iterable[Any]) -> Any | None:
@@ -181,7 +201,9 @@ def _contradictions(takes: Sequence[Row]) -> Iterator[tuple[int, str]]:
 
 def _rates(takes: Sequence[Row]) -> Iterator[tuple[int, str]]:
     usual = agreed([{"rate": f"{row['source_rate_hz']:.4g}"} for row in takes], "rate")
-    for row in takes if usual is not None else ():
+    if usual is None:
+        return
+    for row in takes:
         rate_hz = row["source_rate_hz"]
         if abs(rate_hz / float(usual) - 1) > _SAME_RATE:
             figures = f"it is read at {rate_hz:.6g} Hz, they at {usual} Hz"
@@ -190,9 +212,9 @@ def _rates(takes: Sequence[Row]) -> Iterator[tuple[int, str]]:
 
 def _axes(takes: Sequence[Row]) -> Iterator[tuple[int, str]]:
     usual = agreed(takes, "file_up")
-    for row in takes if usual is not None else ():
-        up = row.get("file_up")
-        if up not in (None, usual):
+    for row in takes:
+        up = row.get("file_up") or usual
+        if up != usual and usual is not None:
             figures = f"{up} is taken as its vertical axis, {usual} as theirs"
             yield row["take_id"], f"{figures}; if it stands along {usual}, state `up: {usual}` in a skeleton mapping"
 

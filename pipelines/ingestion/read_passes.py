@@ -11,7 +11,7 @@ from typing import Any, ClassVar, Protocol, TypeVar
 import numpy as np
 import pyarrow as pa
 
-from kinedex.catalog.capture_sessions import decided_recipes
+from kinedex.catalog.capture_sessions import NO_RATE, decided_recipes, refused_row
 from kinedex.catalog.features import FeatureSet
 from kinedex.catalog.skeletons.mappings import Mappings
 from kinedex.ops import textnumbers
@@ -198,8 +198,16 @@ class ReadPasses:
 
     def _decided(self) -> list[Task]:
         """Return tasks for the files whose axis or rate only the other files of their folders decide."""
-        recipes = decided_recipes(self._rows.values())
-        return [replace(self._tasks[take], recipe=recipes[take]) for take in sorted(recipes) if take in self._tasks]
+        refused = {one.source for one in self.done.failures if NO_RATE.removeprefix("it ") in one.message}
+        rows = dict(self._rows)
+        for take, task in self._tasks.items():
+            if task.motion.path in refused:
+                rows[take] = refused_row(take, (task.motion.root, task.motion.path, task.motion.format), task.recipe)
+        recipes = decided_recipes(rows.values())
+        again = [replace(self._tasks[take], recipe=recipes[take]) for take in sorted(recipes) if take in self._tasks]
+        paths = {task.motion.path for task in again}
+        self.done.failures = [one for one in self.done.failures if one.source not in paths]
+        return again
 
     @property
     def _is_stopped(self) -> bool:

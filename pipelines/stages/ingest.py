@@ -133,7 +133,7 @@ class Ingest(Stage[IngestParameters]):
             writer.commit()
             _compact(context, writer)
             total = len(writer.manifest.live_takes)
-        _report_failures(context, failures)
+        context.message(*failure_messages(failures))
         _report_read(context, {name for names in done.takes.values() for name in names})
         return {
             "takes": total,
@@ -154,7 +154,7 @@ def _ingest_error(
     """Return the error of an ingest that stopped at a file, or that could read no file."""
     if params.strict and failures:
         return KinedexError(f"{failures[0].message}\n(strict: stopped at this file; files before it stay in the store)")
-    _report_failures(context, failures)
+    context.message(*failure_messages(failures))
     count = len(found.motions)
     none = f"none of the {count} files could be read" if count > 1 else "the only file could not be read"
     return KinedexError(f"{none}; the reasons are above (table ingest_log)")
@@ -309,10 +309,6 @@ def _other_names_error(plan: SourceChanges) -> NewStoreError:
         "that brought them in, or use a new store; `prune: true` reads their files again under the new names and drops "
         "the takes of the old ones"
     )
-
-
-def _report_failures(context: StageContext, failures: Sequence[Failure]) -> None:
-    context.message(*failure_messages(failures))
 
 
 def _report_read(context: StageContext, names: Collection[str]) -> None:

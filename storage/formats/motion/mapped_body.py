@@ -237,9 +237,9 @@ def to_metres(
         unit = f"{unit_m:.6g} m (guessed)"
         evidence.append(f"its unit of length is guessed: {name}, which makes the body {height:.2f} m high")
         if (rival := rival_unit(unit_m, height)) is not None or name in FEET_M:
-            other = "a rare unit" if rival is None else f"in {rival[0]} it would be {rival[1]:.2f} m high"
+            instead = "a rare unit" if rival is None else f"in {rival[0]} it would be {rival[1]:.2f} m high"
             warnings.append(
-                f"its unit of length is doubtful: in {name} the body is {height:.2f} m high, and is read so; {other}; "
+                f"its unit of length is doubtful: in {name} the body is {height:.2f} m high, read so; {instead}; "
                 "state `unit_m` in a skeleton mapping"
             )
     elif stated and (other := contradicted_unit(positions[:, :, frame:], joints, unit_m)) is not None:

@@ -15,7 +15,7 @@ from typing import ClassVar, NamedTuple, Self, TypeVar
 import numpy as np
 import numpy.typing as npt
 
-from kinedex.catalog.capture_sessions import BY_SESSION, OPEN_UP
+from kinedex.catalog.capture_sessions import BY_SESSION, NO_RATE, OPEN_UP
 from kinedex.catalog.skeletons.body_evidence import SAMPLED_FRAMES, Evidence
 from kinedex.catalog.skeletons.mappings import Format, Mappings
 from kinedex.catalog.skeletons.recognition.landmarks import load_landmarks
@@ -171,8 +171,11 @@ def _rate(points: Points, settings: ReadSettings, warnings: list[str]) -> float:
         rate_hz = set_hz
     elif points.clock_hz is not None and SLOWEST_HZ <= points.clock_hz <= FASTEST_HZ:
         rate_hz = points.clock_hz
+    elif settings.session_hz is not None:
+        rate_hz = settings.session_hz
+        warnings.append(f"{NO_RATE}: {rate_hz:g} Hz is taken, {BY_SESSION}; if you know it, give --rate HZ")
     else:
-        raise SourceError(points.path, "does not state its frames per second: give `rate_hz`, or --rate")
+        raise SourceError(points.path, f"{NO_RATE.removeprefix('it ')}: give `rate_hz`, or --rate")
     if points.clock_hz is not None and abs(points.clock_hz - rate_hz) > 0.01 * rate_hz:
         warnings.append(f"it is read at {rate_hz:.6g} Hz, but by the times in the file it is {points.clock_hz:.6g} Hz")
     return rate_hz

@@ -94,6 +94,27 @@ def test_an_impossible_rate_gives_way_to_that_of_the_other_files(tmp_path: Path)
     assert take_in(tmp_path / "copy", tmp_path / "day") == rows
 
 
+def test_a_file_without_a_rate_is_read_with_that_of_the_other_files(tmp_path: Path) -> None:
+    source = tmp_path / "day"
+    write(source / "a.npz", standing(60))
+    with np.load(source / "a.npz") as arrays:
+        np.savez(source / "b.npz", positions=arrays["positions"], names=arrays["names"])
+    rows = take_in(tmp_path / "store", source)
+    assert rows["b"]["source_rate_hz"] == 30
+    assert rows["b"]["warnings"][0].startswith(
+        "it does not state its frames per second: 30 Hz is taken, as in the other"
+    )
+    assert open_store(tmp_path / "store").result("ingest_log").num_rows == 0
+    assert take_in(tmp_path / "store", source) == rows
+    write(source / "a.npz", standing(61))  # read again, which decides as before
+    assert take_in(tmp_path / "store", source)["b"] == rows["b"]
+    (source / "alone").mkdir()
+    shutil.copy(source / "b.npz", source / "alone" / "c.npz")
+    assert set(take_in(tmp_path / "store", source)) == {"a", "b"}
+    (row,) = open_store(tmp_path / "store").result("ingest_log").to_pylist()
+    assert "does not state its frames per second: give `rate_hz`" in row["message"]
+
+
 def test_files_that_disagree_decide_nothing() -> None:
     def row(number: int, **figures: object) -> dict[str, Any]:
         place = {"take_id": number, "source": f"day/{number}.trc", "source_root": "/", "format": "trc"}
