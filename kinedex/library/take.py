@@ -345,12 +345,12 @@ def feature_table(words: U64, feature_set: FeatureSet, known: int) -> pl.DataFra
 def take_of_body(name: str, body: Body, feature_set: FeatureSet, about: Mapping[str, Any] | None = None) -> Take:
     """Compute the words of a body in the same way as an ingest, and return the body as a take."""
     from kinedex.pipelines.ingestion.analysis import (
-        QUALITY_COLUMNS,
         analyse,
         known_features,
         measured_quality,
         unknown_feature_warnings,
     )
+    from kinedex.storage.snapshot.measured_columns import QUALITY_COLUMNS
 
     positions, orientation, words = analyse(body, feature_set, ANALYSIS_RATE_HZ)
     known = known_features(feature_set, body)

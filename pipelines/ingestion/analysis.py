@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterable, Mapping
+from collections.abc import Collection, Iterable
 from typing import Any
 
 import numpy as np
@@ -10,7 +10,6 @@ import numpy as np
 from kinedex.catalog.feature_definitions import Feature
 from kinedex.catalog.features import FeatureSet
 from kinedex.catalog.quality import quality_columns, quality_warnings
-from kinedex.catalog.quality_figures import FIGURES
 from kinedex.ops.arrays import F64, U64
 from kinedex.ops.body import features
 from kinedex.ops.body.plausibility import Plausibility, plausibility
@@ -18,23 +17,6 @@ from kinedex.ops.body.resample import feature_rate, resample
 from kinedex.ops.intervals import in_seconds
 from kinedex.ops.words import NO_WORD
 from kinedex.storage.formats.motion.reader import Body
-from kinedex.storage.snapshot.schemas import TakeColumn, column_problem
-
-RECOGNITION_COLUMNS = {
-    "recognition_confidence": TakeColumn(
-        "DOUBLE", "quality", "", "how surely the body was recognised, 0 to 1; 1 where the names fit a mapping"
-    ),
-    "estimated_joints": TakeColumn(
-        "VARCHAR", "quality", "", "the joints that the file does not hold and that are estimated, with a blank between"
-    ),
-    "file_up": TakeColumn("VARCHAR", "quality", "", "the axis of the file that is taken as vertical, such as z or -y"),
-}
-"""The declarations of the columns that describe how a skeleton was recognised."""
-
-QUALITY_COLUMNS = RECOGNITION_COLUMNS | {
-    figure.name: TakeColumn(figure.type, "quality", figure.unit, figure.meaning) for figure in FIGURES
-}
-"""The declarations of the columns of recognition and of quality figures."""
 
 
 def analyse(body: Body, feature_set: FeatureSet, rate_hz: float) -> tuple[F64, F64, U64]:
@@ -164,19 +146,3 @@ def body_row(
         "warnings": [*body.warnings, *unknown_feature_warnings(feature_set, body), *doubts],
         "known": None if known == feature_set.every_bit else known,
     }
-
-
-def stored_figures(columns: Mapping[str, TakeColumn]) -> frozenset[str]:
-    """Return the names of figures among the declared columns of a store, excluding columns of the user."""
-    return frozenset(name for name, column in columns.items() if name in QUALITY_COLUMNS and column.origin == "quality")
-
-
-def declarable_figures(columns: Mapping[str, TakeColumn]) -> tuple[dict[str, TakeColumn], list[str]]:
-    """Return the columns of figures that a store can declare, and a sentence for each that it cannot declare."""
-    problems = {name: column_problem(name, column, columns) for name, column in QUALITY_COLUMNS.items()}
-    sentences = [
-        f"the figure '{name}' of the quality of takes is no column: {problem}; name that column otherwise to have both"
-        for name, problem in problems.items()
-        if problem is not None
-    ]
-    return {name: column for name, column in QUALITY_COLUMNS.items() if problems[name] is None}, sentences

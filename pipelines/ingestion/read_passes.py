@@ -20,7 +20,6 @@ from kinedex.ops.body.plausibility import plausibility
 from kinedex.ops.errors import KinedexError, SourceError
 from kinedex.pipelines.engine.context import StageContext
 from kinedex.pipelines.engine.executors import Executor, WorkerDied, batches_of
-from kinedex.pipelines.ingestion.analysis import stored_figures
 from kinedex.pipelines.ingestion.file_batches import Batch, ReadBatch, Task, read_batch
 from kinedex.pipelines.ingestion.file_failures import Failure, fatal_failure, file_failure
 from kinedex.pipelines.ingestion.memory_limit import MemoryShare
@@ -28,7 +27,8 @@ from kinedex.pipelines.ingestion.parameters import IngestParameters
 from kinedex.pipelines.ingestion.source_changes import SourceChanges
 from kinedex.storage.formats.motion.sources import Scan
 from kinedex.storage.snapshot.file_outcomes import Outcome
-from kinedex.storage.snapshot.schemas import TakeColumn, column_problem
+from kinedex.storage.snapshot.measured_columns import PERSON_COLUMNS, stored_figures
+from kinedex.storage.snapshot.schemas import column_problem
 from kinedex.storage.store.writer import StoreWriter
 
 Result = TypeVar("Result")
@@ -36,11 +36,6 @@ PIECES = 8
 """The number of pieces into which a batch that fails is divided, to find the task that is the cause."""
 
 MEGABYTE = 1 << 20
-PERSON_COLUMNS = {
-    "person": TakeColumn("VARCHAR", "file", meaning="the person, of a file that holds several"),
-    "persons": TakeColumn("BIGINT", "file", meaning="the number of persons in the file, where it holds several"),
-}
-"""The columns of takes that a store declares for files with several persons."""
 
 
 class Divisible(Protocol):

@@ -11,7 +11,6 @@ from typing import Any
 
 from kinedex.catalog.skeletons.mappings import Mappings
 from kinedex.ops.errors import KinedexError, SourceError, StoreError
-from kinedex.pipelines.ingestion.analysis import stored_figures
 from kinedex.pipelines.ingestion.file_batches import Batch, Task
 from kinedex.pipelines.ingestion.metadata import described_columns
 from kinedex.pipelines.ingestion.parameters import IngestParameters, chosen_mappings
@@ -22,6 +21,7 @@ from kinedex.storage.formats.motion.sources import Scan, SourceFile, checksum, p
 from kinedex.storage.repair.quarantine import LostTake
 from kinedex.storage.snapshot.manifest import Manifest, StageRecord
 from kinedex.storage.snapshot.manifest_files import read_version, versions
+from kinedex.storage.snapshot.measured_columns import stored_figures
 from kinedex.storage.snapshot.schemas import RECORDED_FORMATS
 from kinedex.storage.store.store import Store
 

@@ -17,7 +17,6 @@ from kinedex.ops.wording import counted
 from kinedex.pipelines.engine.context import StageContext, feature_set_for
 from kinedex.pipelines.engine.digests import files_digest
 from kinedex.pipelines.engine.stage import Stage
-from kinedex.pipelines.ingestion.analysis import declarable_figures
 from kinedex.pipelines.ingestion.file_failures import Failure, failure_messages, log_table
 from kinedex.pipelines.ingestion.metadata import (
     NO_PATTERN,
@@ -47,6 +46,7 @@ from kinedex.storage.formats.motion.sources import Scan, scan
 from kinedex.storage.remedies import repair
 from kinedex.storage.snapshot.file_outcomes import file_table
 from kinedex.storage.snapshot.manifest_files import read_newest, versions
+from kinedex.storage.snapshot.measured_columns import declarable_figures
 from kinedex.storage.snapshot.schemas import RECORDED_FORMATS, TakeColumn, column_problem
 from kinedex.storage.store.compaction import compact
 from kinedex.storage.store.store import Store

@@ -19,10 +19,11 @@ from kinedex.ops.body.resample import resample
 from kinedex.ops.errors import KinedexError
 from kinedex.pipelines.engine.digests import Reading, hash_of
 from kinedex.pipelines.engine.file_parameters import StageParameters
-from kinedex.pipelines.ingestion.analysis import analyse, body_row, declarable_figures, stored_figures
+from kinedex.pipelines.ingestion.analysis import analyse, body_row
 from kinedex.pipelines.ingestion.metadata import group_values
 from kinedex.storage.formats.motion.reader import Body, ReadSettings
 from kinedex.storage.formats.motion.reader_table import motion_endings, read_body
+from kinedex.storage.snapshot.measured_columns import declarable_figures, stored_figures
 from kinedex.storage.snapshot.parts import FramesWriter, joint_positions
 from kinedex.storage.snapshot.schemas import RECORDED_FORMATS, TakeColumn, column_problem
 from kinedex.storage.store.store import Store
