@@ -23,7 +23,7 @@ FRAMES = 120
 _COMPUTED = re.compile(
     r".*(CentreOfMass|Angles|Moment|Force|Power)|[LR]?(PEL|TRX|HED|FE|TI|FO|TO|HU|RA|HN|CL|UP)[OALP]$"
 )
-"""What Plug-in Gait computes of markers: no marker is exchanged with it."""
+"""The names that Plug-in Gait gives to results, with which no marker is exchanged."""
 
 UNITS_M = {"mm": 0.001, "cm": 0.01, "dm": 0.1, "m": 1.0, "in": 0.0254, "ft": 0.3048}
 

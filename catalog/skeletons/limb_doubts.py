@@ -41,9 +41,9 @@ def limb_doubts(positions: F64, joints: tuple[str, ...]) -> list[str]:
     with np.errstate(over="ignore", invalid="ignore"):  # Absurd numbers are refused elsewhere.
         apart = places[ends[:, 0]] - places[ends[:, 1]]
         lengths = np.sort(np.sqrt((apart * apart).sum(axis=1)), axis=1)
-    last = len(frames) - 1
-    low, middle, high = (lengths[:, round(share * last)] for share in (0.05, 0.5, 0.95))
-    at = {pair: (float(middle[i]), float(high[i] - low[i])) for i, pair in enumerate(pairs)}
+        low, middle, high = (lengths[:, round(share * (len(frames) - 1))] for share in (0.05, 0.5, 0.95))
+        ranges = high - low
+    at = {pair: (float(middle[i]), float(ranges[i])) for i, pair in enumerate(pairs)}
     found = [*_lengths(at), *_exchanged(at)]
     if not found:
         return []

@@ -491,7 +491,7 @@ def given_skeleton(motion: SourceFile, skeletons: Iterable[SourceFile], given: M
 
 def skeleton_doubt(motion: Path, skeleton: Path) -> str | None:
     """Return a warning if the name of a motion file does not confirm its skeleton file; None if it does."""
-    if _begins(_name_parts(motion.stem), _name_parts(skeleton.stem)):
+    if _begins(*(_name_parts(split_ending(file.name)[0]) for file in (motion, skeleton))):
         return None
     return (
         f"its skeleton {skeleton.name} is taken because there is no other, its name does not say so: if these are the "

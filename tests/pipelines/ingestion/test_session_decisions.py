@@ -56,11 +56,11 @@ def test_a_static_trial_decides_which_axis_is_up_in_the_motion_beside_it(tmp_pat
     write(tmp_path / "day" / "static.npz", standing(60))
     alone = take_in(tmp_path / "first", tmp_path / "alone")["get_up"]
     assert alone["file_up"] == "y"
-    assert alone["warnings"][0].startswith("no axis is clearly up")
-    assert alone["warnings"][0].endswith("y is taken")
+    assert any(one.startswith("no axis is clearly up") for one in alone["warnings"])
+    assert any(one.endswith("y is taken") for one in alone["warnings"])
     beside = take_in(tmp_path / "second", tmp_path / "day", executor)["get_up"]
     assert beside["file_up"] == "z"
-    assert beside["warnings"][0].endswith("z is taken, as in the other files of its folder")
+    assert any(one.endswith("z is taken, as in the other files of its folder") for one in beside["warnings"])
     heights = open_store(tmp_path / "second").sql(f"SELECT root.y FROM frames WHERE take_id = {beside['take_id']}")
     found = np.array(heights.column(0).to_pylist())
     assert (found[:40].min(), found[-40:].max()) == (pytest.approx(1.0, abs=0.1), pytest.approx(0.0, abs=0.1))
@@ -101,9 +101,8 @@ def test_a_file_without_a_rate_is_read_with_that_of_the_other_files(tmp_path: Pa
         np.savez(source / "b.npz", positions=arrays["positions"], names=arrays["names"])
     rows = take_in(tmp_path / "store", source)
     assert rows["b"]["source_rate_hz"] == 30
-    assert rows["b"]["warnings"][0].startswith(
-        "it does not state its frames per second: 30 Hz is taken, as in the other"
-    )
+    taken = "it does not state its frames per second: 30 Hz is taken, as in the other"
+    assert any(one.startswith(taken) for one in rows["b"]["warnings"])
     assert open_store(tmp_path / "store").result("ingest_log").num_rows == 0
     assert take_in(tmp_path / "store", source) == rows
     write(source / "a.npz", standing(61))  # read again, which decides as before

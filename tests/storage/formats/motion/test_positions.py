@@ -183,7 +183,7 @@ QUIRKS = {
         lambda text: text.replace("Units\t", "").replace("\tmm\t", "\t"),
         ("no unit of m, cm, mm, in", "is guessed: mm"),
     ),
-    "an unknown unit": (lambda text: text.replace("\tmm\t", "\tft\t"), ("but 'ft'", "is guessed: mm")),
+    "an unknown unit": (lambda text: text.replace("\tmm\t", "\tell\t"), ("but 'ell'", "is guessed: mm")),
     "counts that lie": (
         lambda text: text.replace("\t20\t17\t", "\t7\t99\t"), ("states 7 frames", "states 99 markers"),
     ),
