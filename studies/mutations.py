@@ -24,10 +24,11 @@ import argparse
 import sys
 import tempfile
 from collections import Counter, defaultdict
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from itertools import chain
 from pathlib import Path
+from typing import TypeVar
 
 import numpy as np
 from rich.console import Console
@@ -40,13 +41,14 @@ from kinedex.ops.body import features
 from kinedex.ops.errors import KinedexError
 from kinedex.storage.formats.motion.reader import Body
 from kinedex.storage.formats.motion.reader_table import read_body
-from studies.point_mutations import FORMS, Recording, point_mutations, recordings
-from studies.skeleton_mutations import BvhText, bvh_files, bvh_mutations, write
+from studies.point_mutations import FORMS, Mutation, Recording, point_mutations, recordings
+from studies.skeleton_mutations import BvhText, SkeletonMutation, bvh_files, bvh_mutations, write
 
 FEATURES = load_feature_set()
 JOINTS = FEATURES.joints
 MAPPINGS = load_mappings("auto", JOINTS)
 RIGHT_M, ESTIMATED_M = 0.02, 0.05
+_ONE_LABEL = ("label hidden in all frames", "label removed", "label renamed to nonsense", "label duplicated")
 OUTCOMES = ("right", "estimated", "warned", "refused", "silent", "not knowable")
 
 
@@ -120,35 +122,48 @@ def words_differing(body: Body, control: Body) -> float:
     return float(np.mean(a != b)) if len(a) == len(b) else 1.0
 
 
-def trials(found: list[Recording], forms: list[str], seed: int) -> Iterator[tuple[str, str, str, Outcome]]:
-    """Yield format, mutation, recording and outcome of every mutation of every recording in every format."""
+Trial = tuple[str, str, str, Outcome]
+"""Format, mutation, what it changed in which recording, and the outcome."""
+
+
+def trials(found: list[Recording], form: str, given: argparse.Namespace) -> Iterator[Trial]:
+    """Yield the trials of recordings of points in a format."""
     with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / f"take{FORMS[form].ending}"
         for recording in found:
-            for form in forms:
-                path = Path(folder) / f"take{FORMS[form].ending}"
-                FORMS[form].write(path, recording)
-                try:
-                    control = read(path)
-                except KinedexError as fault:
-                    yield form, "unchanged", recording.name, Outcome("refused", str(fault))
-                    continue
-                random = np.random.default_rng([seed, sum(recording.name.encode()), sum(form.encode())])
-                for mutation in point_mutations(recording, form, random):
-                    FORMS[form].write(path, mutation.recording)
-                    outcome = judged(path, control, mutation.knowable)
-                    yield form, mutation.name, f"{recording.name}: {mutation.what}", outcome
+            random = np.random.default_rng([given.seed, sum(recording.name.encode()), sum(form.encode())])
+            FORMS[form].write(path, recording)
+            control = read(path)
+            for mutation in drawn(point_mutations(recording, form, random), given.trials, random):
+                FORMS[form].write(path, mutation.recording)
+                what = f"{recording.name}: {mutation.what}"
+                yield form, mutation.name, what, judged(path, control, mutation.knowable)
 
 
-def bvh_trials(found: list[BvhText]) -> Iterator[tuple[str, str, str, Outcome]]:
-    """Yield format, mutation, file and outcome of every mutation of every BVH file."""
+def bvh_trials(found: list[BvhText], given: argparse.Namespace) -> Iterator[Trial]:
+    """Yield the trials of BVH files."""
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "take.bvh"
         for file in found:
+            random = np.random.default_rng([given.seed, sum(file.name.encode())])
             write(path, file)
             control = read(path)
-            for mutation in bvh_mutations(file):
+            for mutation in drawn(bvh_mutations(file), given.trials, random):
                 write(path, mutation.file)
                 yield "BVH", mutation.name, f"{file.name}: {mutation.what}", judged(path, control, mutation.knowable)
+
+
+AnyMutation = TypeVar("AnyMutation", Mutation, SkeletonMutation)
+
+
+def drawn(found: Iterable[AnyMutation], most: int | None, random: np.random.Generator) -> Iterator[AnyMutation]:
+    """Yield all mutations, or at most so many of each name, drawn at random."""
+    by_name: dict[str, list[AnyMutation]] = defaultdict(list)
+    for mutation in found:
+        by_name[mutation.name].append(mutation)
+    for of_name in by_name.values():
+        count = len(of_name) if most is None else min(most, len(of_name))
+        yield from (of_name[i] for i in sorted(random.permutation(len(of_name))[:count]))
 
 
 def main() -> int:
@@ -156,14 +171,16 @@ def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("data", type=Path)
     parser.add_argument("--hold", action="append", choices=[*FORMS, "BVH"], help="only files of this format")
+    parser.add_argument("--trials", type=int, help="most trials of a mutation on a recording; all by default")
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--show", nargs="*", default=["silent"], choices=OUTCOMES, help="outcomes to list one by one")
     given = parser.parse_args()
     counts: dict[tuple[str, str], Counter[str]] = defaultdict(Counter)
     shown = []
+    found = recordings(given.data)
     forms = given.hold or [*FORMS, "BVH"]
-    of_points = trials(recordings(given.data), [form for form in forms if form in FORMS], given.seed)
-    of_skeletons = bvh_trials(bvh_files(given.data)) if "BVH" in forms else ()
+    of_points = (trial for form in forms if form in FORMS for trial in trials(found, form, given))
+    of_skeletons = bvh_trials(bvh_files(given.data), given) if "BVH" in forms else ()
     for form, mutation, what, outcome in chain(of_points, of_skeletons):
         counts[form, mutation][outcome.kind] += 1
         if outcome.kind in given.show:
@@ -172,11 +189,17 @@ def main() -> int:
     for (form, mutation), found in sorted(counts.items()):
         table.add_row(form, mutation, *(str(found[kind] or "") for kind in OUTCOMES))
     total = sum(counts.values(), Counter[str]())
+    lost = sum((counts[key] for key in counts if key[1] in _ONE_LABEL), Counter[str]())
     table.add_row("", "all", *(str(total[kind]) for kind in OUTCOMES))
     console = Console(width=200)
     for line in shown:
         console.print(line, highlight=False)
     console.print(table)
+    if lost:
+        held = lost["right"] + lost["estimated"]
+        print(
+            f"one label hidden, removed, renamed or duplicated: {held / lost.total():.1%} with every joint in its place"
+        )
     return 1 if total["silent"] else 0
 
 
