@@ -119,9 +119,12 @@ def contradicted_unit(positions: F64, joints: tuple[str, ...], unit_m: float) ->
     height = body_height(positions, joints)
     if height is None or _POSSIBLE_M[0] <= height * unit_m <= _POSSIBLE_M[1]:
         return None
-    for name, other_m in (UNITS_M | {name: factor * unit_m for name, factor in _LOST.items()}).items():
-        if HUMAN_M[0] <= height * other_m <= HUMAN_M[1]:
-            return name, other_m, height * other_m
+    lost = {name: factor * unit_m for name, factor in _LOST.items()}
+    common, adult = UNITS_M | RARE_UNITS_M, (ADULT_M, HUMAN_M[1])
+    for units, (low, high) in ((UNITS_M, adult), (common, adult), (common | lost, HUMAN_M)):
+        for name, other_m in units.items():
+            if other_m != unit_m and low <= height * other_m <= high:
+                return name, other_m, height * other_m
     return None
 
 

@@ -174,7 +174,7 @@ class FigureReader(Reader):
                 f"bones {', '.join(bones)} have no length in the file; mapping '{fit.mapping.name}' gives them one"
             )
         found = [*recognition_evidence(fit), *upturned]
-        unit = to_metres(path, positions, 1.0, joints, warnings, found, stated=True)
+        unit = to_metres(path, positions, 1.0, joints, warnings, found, stated="it states")
         refuse_far(path, positions, joints, fit.unknown)
         return Body(
             positions=positions,

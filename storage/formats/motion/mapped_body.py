@@ -208,7 +208,7 @@ def to_metres(
     warnings: list[str],
     evidence: list[str],
     frame: int = 0,
-    stated: bool = False,
+    stated: str = "",
 ) -> str:
     """Scale positions to metres in place and return the unit in words.
 
@@ -228,8 +228,9 @@ def to_metres(
         A sentence is appended if the unit is guessed.
     frame : int, optional
         First frame in which the body is measured.
-    stated : bool, optional
-        True for a unit that the file states. It is replaced if it gives no human size; that of a mapping is kept.
+    stated : str, optional
+        The words for what states the unit, the file or a shipped mapping: it is then replaced if it gives no human
+        size. By default it is kept, as that of a user's mapping is.
     """
     unit = f"{unit_m:.6g} m" if unit_m is not None else ""
     if unit_m is None:
@@ -246,7 +247,7 @@ def to_metres(
         name, other_m, height = other
         unit = f"{other_m:.6g} m (guessed)"
         warnings.append(
-            f"its unit of length is wrong: it states {unit_m:.6g} m, which makes the body "
+            f"its unit of length is wrong: {stated} {unit_m:.6g} m, which makes the body "
             f"{height / other_m * unit_m:.3g} m high; it is read in {name}, which make it {height:.2f} m high"
         )
         unit_m = other_m
@@ -278,6 +279,11 @@ def refuse_far(
 def is_shipped(fit: Fit) -> bool:
     """Return whether a fit uses a mapping that comes with kinedex, neither recognised nor the user's."""
     return not fit.recognised and fit.mapping.path.is_relative_to(shipped_configs())
+
+
+def unit_source(fit: Fit, in_file: bool) -> str:
+    """Return the words for what states a unit of length that may be replaced; empty for a user's own mapping."""
+    return "it states" if in_file else f"mapping '{fit.mapping.name}' states" if is_shipped(fit) else ""
 
 
 def _stands(positions: F64, joints: tuple[str, ...]) -> bool:

@@ -25,7 +25,13 @@ from kinedex.ops.body import kinematics
 from kinedex.ops.body.resample import Gap, fill_gaps
 from kinedex.ops.body.up_axis import up_axis
 from kinedex.ops.errors import SourceError
-from kinedex.storage.formats.motion.mapped_body import recognition_evidence, recognition_warnings, refuse_far, to_metres
+from kinedex.storage.formats.motion.mapped_body import (
+    recognition_evidence,
+    recognition_warnings,
+    refuse_far,
+    to_metres,
+    unit_source,
+)
 from kinedex.storage.formats.motion.reader import (
     FASTEST_HZ,
     SLOWEST_HZ,
@@ -142,7 +148,7 @@ def body_of_points(
         lost = [joints[i] for i in known if np.isnan(positions[i]).any()]
         warnings.append(_invalid(path, fit, valid, left, longest, called, lost))
     first = int(np.argmax(valid))
-    stated = points.unit_m is not None
+    stated = unit_source(fit, in_file=points.unit_m is not None)
     evidence = list(recognition_evidence(fit))
     unit = to_metres(path, positions, points.unit_m or fit.mapping.unit_m, joints, warnings, evidence, first, stated)
     refuse_far(path, positions, joints, fit.unknown, valid)

@@ -96,6 +96,11 @@ def test_the_skeleton_of_an_amc_file_is_found_above_it_up_to_the_source(tmp_path
     assert not write_picture(found, tmp_path / "no.png")
     found = inspect_file(root / "a" / "b" / "x_1.amc", source=tmp_path / "elsewhere")
     assert "does not lie below it" in str(found.fault)
+    (root / "x.asf").rename(root / "skeleton.asf")
+    found = inspect_file(root / "a" / "b" / "x_1.amc", source=root)
+    assert message(found, "skeleton file").startswith(
+        f"{root}/skeleton.asf (its skeleton skeleton.asf is taken because"
+    )
 
 
 def test_a_skeleton_that_no_mapping_fits_is_told_all_that_is_missing_and_drawn_as_it_is(tmp_path: Path) -> None:

@@ -34,3 +34,12 @@ def test_a_body_comes_in_as_high_as_it_is_whatever_the_header_states(tmp_path: P
     assert np.abs(body.positions - standing(4)).max() < 1e-5
     wrong = [warning for warning in body.warnings if "its unit of length is wrong" in warning]
     assert len(wrong) == (unit == "mm") ^ (factor == 1000.0)
+
+
+@pytest.mark.parametrize(("factor", "name"), [(1000.0, "mm"), (100.0, "cm"), (10.0, "dm"), (1 / 0.0254, "inches")])
+def test_a_shipped_mapping_gives_way_to_the_unit_that_makes_a_human(tmp_path: Path, factor: float, name: str) -> None:
+    write_trc(tmp_path / "a.trc", standing(4) * factor, "")
+    body = read_body(tmp_path / "a.trc", None, load_mappings("auto", tuple(JOINTS)), tuple(JOINTS))
+    assert np.abs(body.positions - standing(4)).max() < 1e-5
+    (warning,) = [warning for warning in body.warnings if "its unit of length is wrong: mapping" in warning]
+    assert f"it is read in {name}" in warning
