@@ -57,7 +57,7 @@ COMMANDS = {
     "simulate": Listed(TRACK, "simulate", "Make recordings of takes, with their truth apart."),
     "use": Listed(MAINTAIN, "store_changes", "Choose the pipeline whose results the views show, or list them."),
     "merge": Listed(MAINTAIN, "store_changes", "Add the takes and labels of another store to a store."),
-    "duplicates": Listed(MAINTAIN, "maintenance", "List takes that hold the same file or the same motion."),
+    "duplicates": Listed(MAINTAIN, "maintenance", "List takes that come from the same file or show the same motion."),
     "inspect": Listed(MAINTAIN, "maintenance", "Show what a motion file, sensor file or depth image holds."),
     "verify": Listed(MAINTAIN, "maintenance", "Check the files of a store against its manifest, and the index."),
     "repair": Listed(MAINTAIN, "maintenance", "Repair the damaged files of a store."),
