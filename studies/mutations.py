@@ -158,12 +158,14 @@ AnyMutation = TypeVar("AnyMutation", Mutation, SkeletonMutation)
 
 def drawn(found: Iterable[AnyMutation], most: int | None, random: np.random.Generator) -> Iterator[AnyMutation]:
     """Yield all mutations, or at most so many of each name, drawn at random."""
+    if most is None:
+        yield from found
+        return
     by_name: dict[str, list[AnyMutation]] = defaultdict(list)
     for mutation in found:
         by_name[mutation.name].append(mutation)
     for of_name in by_name.values():
-        count = len(of_name) if most is None else min(most, len(of_name))
-        yield from (of_name[i] for i in sorted(random.permutation(len(of_name))[:count]))
+        yield from (of_name[i] for i in sorted(random.permutation(len(of_name))[:most]))
 
 
 def main() -> int:
