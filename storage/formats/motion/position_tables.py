@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import codecs
+import re
 from abc import abstractmethod
 from collections.abc import Collection, Iterator, Sequence
 from dataclasses import dataclass
@@ -23,6 +24,7 @@ from kinedex.storage.formats.source_files import file_size, part_of, source_byte
 F64 = npt.NDArray[np.float64]
 Lines = npt.NDArray[np.int64]
 
+_NOT_A_NUMBER = re.compile(r"[+-]?1\.#(IND|QNAN|SNAN|R|QO|QNB)0*")  # as Microsoft's C library writes and rounds NaN
 _NUMBERS = 250_000  # numbers of rows that are kept before they are copied into the result
 
 
@@ -37,6 +39,8 @@ class Table:
         The character between cells; lines without it are split at blanks.
     first : int
         The number of lines of the header.
+    unlabelled : bool, optional
+        True if rows may have whole points, of three cells each, after the columns of the header; they are dropped.
 
     Attributes
     ----------
@@ -44,6 +48,8 @@ class Table:
         The lines of the header, as many as there are.
     lines, rows : int
         The numbers of all lines, and of those with numbers.
+    dropped : list of int
+        The number of points without a label in each row that had some; they are dropped by `points`.
 
     Raises
     ------
@@ -51,8 +57,9 @@ class Table:
         The file cannot be read, is empty, or has a line of more than `LONGEST` characters.
     """
 
-    def __init__(self, path: Path, separator: str, first: int) -> None:
+    def __init__(self, path: Path, separator: str, first: int, unlabelled: bool = False) -> None:
         self.path, self.separator, self.first = path, separator, first
+        self._unlabelled, self.dropped = unlabelled, list[int]()
         self._encoding = "utf-8-sig"
         try:
             self._count()
@@ -160,8 +167,11 @@ class Table:
     def _row(self, line: str, number: int, header: Sequence[str]) -> F64:
         """Return the numbers of a line, NaN for empty cells."""
         cells = csv_cells(line, self.separator) if self.separator in line else line.split()
+        written = len(cells)
         while len(cells) > len(header) and not cells[-1].strip():
             cells.pop()
+        if self._unlabelled and len(cells) > len(header):
+            cells = self._labelled(cells, written, number, len(header))
         if len(cells) != len(header):
             raise SourceError(self.path, f"{len(cells)} cells, the header has {len(header)} columns", line=number)
         try:
@@ -176,12 +186,40 @@ class Table:
             raise SourceError(self.path, f"column '{header[at]}': not a finite number: {cells[at]!r}", line=number)
         return row
 
+    def _labelled(self, cells: list[str], written: int, number: int, count: int) -> list[str]:
+        """Return the cells of the header's columns, and count the others, which must be whole points.
+
+        Parameters
+        ----------
+        cells : list of str
+            The cells of a row, of which the last one is not empty.
+        written : int
+            The number of cells with the empty ones at the end.
+        number : int
+            The line.
+        count : int
+            The number of columns of the header.
+        """
+        points = -(-(len(cells) - count) // 3)
+        if count + 3 * points > written:
+            raise SourceError(
+                self.path, f"{written} cells, the header has {count} columns, and the cells after them are no whole "
+                "points of three cells each: is a cell of this row missing, or one too many?", line=number,
+            )  # fmt: skip
+        self.dropped.append(points)
+        return cells[:count]
+
 
 def parse_number(path: Path, cell: str, column: str, line: int) -> float:
     """Parse a cell, NaN if it is empty; raise a SourceError that names the column if it is not a number."""
     text = cell.strip()
-    if text.lstrip("+-").startswith("1.#"):  # NaN as Microsoft's C library writes it
-        return float("nan")
+    if text.lstrip("+-").startswith("1.#"):
+        if _NOT_A_NUMBER.fullmatch(text):
+            return float("nan")
+        raise SourceError(
+            path, f"column '{column}': {cell[:40]!r} is infinite, or may be, in the notation of Microsoft's C library; "
+            "leave the cell empty if the value is missing", line=line,
+        )  # fmt: skip
     try:
         if "_" in text:  # underscores in numbers are only Python's notation
             raise ValueError

@@ -216,21 +216,23 @@ def trc_head(path: Path) -> TrcHead:
 def parse_trc(path: Path) -> Points:
     """Read a TRC file (OpenSim, Pose2Sim and others): a header with rate, unit and labels, then one row a frame.
 
-    An empty cell or `nan` is a gap; a point at 0, 0, 0 is a valid position. Markers without a label, or with the same
-    label as another, are dropped.
+    An empty cell or `nan` is a gap; a point at 0, 0, 0 is a valid position. Markers without a label, which may stand
+    after the labelled ones in some rows, and markers with the same label as another, are dropped.
     """
     head = trc_head(path)
-    table = Table(path, head.separator, head.first)
+    table = Table(path, head.separator, head.first, unlabelled=True)
     names = list(head.labels)
     _refuse_count(path, len(names), "names of markers after 'Frame#' and 'Time'", head.line)
     warnings: list[str] = []
-    there = max(0, head.cells - 2) // 3
-    if there > len(names):
-        warnings.append(f"its rows have {there} markers, its header names {len(names)}; the others are dropped")
-    count = max(there, len(names))
-    called = [names[i] if i < len(names) else f"marker {i + 1}" for i in range(count)]
-    header = ["Frame#", "Time", *(f"{name} {axis}" for name in called for axis in "XYZ")]
-    positions, (numbers, times), where = table.points(header, range(2, 2 + 3 * len(names)), (0, 1))
+    header = ["Frame#", "Time", *(f"{name} {axis}" for name in names for axis in "XYZ")]
+    positions, (numbers, times), where = table.points(header, range(2, len(header)), (0, 1))
+    if table.dropped:
+        varied = len(table.dropped) < table.rows or len(set(table.dropped)) > 1
+        warnings.append(
+            f"its rows have {'up to ' if varied else ''}{len(names) + max(table.dropped)} markers, its header names "
+            f"{len(names)}; the others, {3 * sum(table.dropped)} cells in {len(table.dropped)} of {table.rows} rows, "
+            "have no label and are dropped"
+        )
     _check_frames(path, numbers, where)
     clock = _clock(path, times, where)
     warnings += _wrong_counts(head, table.rows, len(names))

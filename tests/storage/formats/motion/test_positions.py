@@ -169,6 +169,7 @@ def test_rates_that_contradict_each_other_are_said_and_missing_ones_asked_for(tm
         read(write(tmp_path / "a.csv", csv_text(walk, COCO)), ReadSettings())
 
 
+_POINTS = ("", "\t\t\t", "\t1\t2\t3", "\t\t\t\t4\t5\t6")
 QUIRKS = {
     "commas": (lambda text: text.replace("\t", ","), ()),
     "commas to the end of every line": (lambda text: text.replace("\t", ",").replace("\n", ",,,\n"), ()),
@@ -190,6 +191,11 @@ QUIRKS = {
     "more columns than labels": (
         lambda text: "".join(f"{line}\t1\t2\t3\n" if line[:1].isdigit() and "mm" not in line else f"{line}\n"
                              for line in text.split("\n")), ("its rows have 18 markers, its header names 17",),
+    ),
+    "columns without labels in some rows": (
+        lambda text: "".join(f"{line}{_POINTS[i % 4]}\n" if line[:1].isdigit() and "mm" not in line else f"{line}\n"
+                             for i, line in enumerate(text.split("\n"))),
+        ("its rows have up to 19 markers, its header names 17; the others, 45 cells in 10 of 20 rows",),
     ),
     "two markers of one name": (lambda text: text.replace("left_eye", "nose"), ("several markers are called nose",)),
     "numbers that are none": (lambda text: text.replace("\n1\t0.0000\t0\t", "\n1\t0.0000\t1.#QNAN\t"), ()),
@@ -257,6 +263,15 @@ FAULTS = {
     "no number": ("a.trc", TRC.replace("\n2\t0.0167\t0\t", "\n2\t0.0167\tx\t"), 8, "column 'nose X': not a number"),
     "a row cut off": ("a.trc", TRC[:-12], 9, "cells, the header has 53 columns"),
     "a frame left out": ("a.trc", TRC.replace("\n2\t", "\n3\t"), 8, "expected the next frame's number after frame 1"),
+    "an infinite number of Microsoft's library": (
+        "a.trc", TRC.replace("\n2\t0.0167\t0\t", "\n2\t0.0167\t-1.#INF\t"), 8, "column 'nose X': '-1.#INF' is infinite"
+    ),
+    "a number that may be infinite": (
+        "a.trc", TRC.replace("\n2\t0.0167\t0\t", "\n2\t0.0167\t1.#IO\t"), 8, "is infinite, or may be"
+    ),
+    "part of a point without a label": (
+        "a.trc", TRC.rstrip("\n") + "\t1\t2\n", 9, "55 cells, the header has 53 columns, and the cells after"
+    ),
     "time stands still": ("a.trc", TRC.replace("0.0167", "0.0000"), 8, "does not come after the last"),
     "no frames": ("a.trc", TRC.split("\n1\t")[0] + "\n", 6, "no frames"),
     "an axis without its joint": ("a.csv", CSV.replace("nose_y", "nose_w"), 1, "column 'nose_y' is missing"),
