@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Sequence
+from collections.abc import Collection
 from dataclasses import dataclass
 from pathlib import Path
 from typing import ClassVar
@@ -92,8 +92,7 @@ class OpenSimReader(PointsReader):
         path, layout = file.path, _layout(file.path)
         if all(_FORCES.search(name) for name in layout.columns[1:]):
             raise SourceError(path, "holds forces or activations, no coordinates: it makes no motion", line=layout.line)
-        model_path = model_of(path, layout.columns, settings)
-        model = read_osim(model_path)
+        model_path, model = model_of(path, layout, settings)
         warnings = [f"joints are placed by the model {model_path.name}", *layout.warnings]
         values, rate_hz = _values(path, layout, model, warnings)
         names, positions = _posed(path, model, values)
@@ -106,33 +105,47 @@ def _given(settings: ReadSettings) -> str | None:
     return given if given is not None and given.lower().endswith(".osim") else None
 
 
-def model_of(path: Path, columns: Sequence[str], settings: ReadSettings) -> Path:
-    """Return a motion's model: that of the settings, else the .osim file beside it, the best by name of several.
+def model_of(path: Path, layout: _Layout, settings: ReadSettings) -> tuple[Path, Model]:
+    """Return a motion's model, and its path: that of the settings, else the .osim file beside it.
+
+    Of several files, the one whose name agrees longest with the motion's counts, if it has coordinates of the motion;
+    of files that agree equally, the one that has the most of them.
 
     Raises
     ------
     SourceError
-        There is no model, or several match the motion's name equally well.
+        There is no model, several go with the motion equally well, or a model is damaged.
     """
     given = _given(settings)
     if given is not None:
-        return Path(given).expanduser()
+        return (chosen := Path(given).expanduser()), read_osim(chosen)
     found = sorted(other for other in path.parent.iterdir() if other.suffix.lower() == ".osim" and other.is_file())
     shared = [shared_prefix(path.stem.casefold(), other.stem.casefold()) for other in found]
     best = [other for other, length in zip(found, shared, strict=True) if length == max(shared)]
-    if len(best) == 1:
-        return best[0]
     if best:
-        names = ", ".join(other.name for other in best)
+        there = layout.coordinates().keys()
+        models = {other: read_osim(other) for other in best}
+        if len(found) > len(best) and not any(_held(model, there) for model in models.values()):
+            models = {other: read_osim(other) for other in found}
+        counts = {other: _held(model, there) for other, model in models.items()}
+        most = [other for other, count in counts.items() if count == max(counts.values())]
+        if len(most) == 1:
+            return most[0], models[most[0]]
+        names = ", ".join(other.name for other in most)
         raise SourceError(
-            path, f"several models lie beside it, and its name goes with none before the others: {names}; give one by "
-            "`body_model`, or --body-model",
+            path, f"several models lie beside it, and neither its name nor its coordinates, of which each has "
+            f"{counts[most[0]]}, tell which is its own: {names}; give one by `body_model`, or --body-model",
         )  # fmt: skip
     raise SourceError(
         path,
-        f"holds the coordinates of an OpenSim model ({', '.join(columns[1:4])}, …), which alone has the joints: "
+        f"holds the coordinates of an OpenSim model ({', '.join(layout.columns[1:4])}, …), which alone has the joints: "
         "put its .osim file beside it, or give it by `body_model`, or --body-model",
     )
+
+
+def _held(model: Model, there: Collection[str]) -> int:
+    """Return the number of a model's coordinates that a motion holds."""
+    return sum(coordinate.name in there for coordinate in model.coordinates)
 
 
 def _layout(path: Path) -> _Layout:

@@ -163,6 +163,20 @@ def test_without_a_model_or_with_several_the_way_out_is_given(tmp_path: Path) ->
     assert "the model bob.osim" in points(path, second).warnings[0]
 
 
+def test_of_several_models_the_one_with_the_coordinates_of_the_motion_is_taken(tmp_path: Path) -> None:
+    path = write(tmp_path / "walk_01.mot", motion({"knee_r_angle": [0.0, 1.0], "elbow_r_angle": [0.0, 1.0]}))
+    write(tmp_path / "ann.osim", model())
+    other = write(tmp_path / "bob.osim", model().replace("knee_r_angle", "right_knee"))
+    assert "the model ann.osim" in points(path).warnings[0]  # bob.osim has one of both coordinates
+    other.rename(tmp_path / "walk.osim")
+    assert "the model walk.osim" in points(path).warnings[0]  # the name goes first
+    write(tmp_path / "walk.osim", model().replace("knee_r_angle", "right_knee").replace("elbow_r_angle", "right_elbow"))
+    assert "the model ann.osim" in points(path).warnings[0]  # unless that model has nothing of the motion
+    write(tmp_path / "eve.osim", model())
+    refused(path, "of which each has 2", "ann.osim, eve.osim", "--body-model")
+    assert "the model eve.osim" in points(path, tmp_path / "eve.osim").warnings[0]
+
+
 def test_forces_and_motions_of_other_models_are_no_motion(tmp_path: Path) -> None:
     forces = motion({"ground_force_vx": [1.0, 2.0], "ground_force_px": [0.0, 0.0], "ground_torque_x": [0.0, 1.0]})
     path = write(tmp_path / "grf.mot", forces)
