@@ -7,7 +7,6 @@ layout that `c3d_layout` has checked against the file's size gives their offset 
 from __future__ import annotations
 
 import re
-from collections import Counter
 from dataclasses import dataclass
 from pathlib import Path
 from typing import ClassVar
@@ -31,6 +30,7 @@ from kinedex.storage.formats.motion.points import (
     upright,
 )
 from kinedex.storage.formats.motion.reader import FASTEST_HZ, SLOWEST_HZ, Body, Extent, MotionFile, Reader, ReadSettings
+from kinedex.storage.formats.motion.shared_labels import unique_names
 from kinedex.storage.formats.source_files import source_errors
 
 F64 = npt.NDArray[np.float64]
@@ -70,7 +70,7 @@ def parse_c3d(path: Path) -> Markers:
     -------
     Markers
         The markers by their labels, which may begin with a subject's name; rate, unit and up axis as far as the file
-        states them. A label that several markers share is not used.
+        states them. Of labels that several markers share see `unique_names`.
 
     Raises
     ------
@@ -91,13 +91,14 @@ def parse_c3d(path: Path) -> Markers:
     lost = np.isnan(positions).any(axis=1) | (positions == 0.0).all(axis=1)
     positions[np.broadcast_to(lost[:, None], positions.shape)] = np.nan
     warnings = list(layout.warnings)
-    names = _names(layout, positions, warnings)
+    labels = labels_of(layout)
     if np.isinf(positions).any():
         point, _, frame = (int(at[0]) for at in np.nonzero(np.isinf(positions)))
-        raise SourceError(path, f"marker '{names[point]}' is infinitely far away in source frame {frame}")
+        raise SourceError(path, f"marker '{labels[point]}' is infinitely far away in source frame {frame}")
     if layout.first > 1:
         warnings.append(f"it begins with frame {layout.first} of its recording, which is source frame 0 here")
     rate_hz, unit_m, up = _rate(layout, warnings), _unit_m(layout, warnings), _up(layout, warnings)
+    names = unique_names(labels, positions, unit_m, warnings)
     return Markers(str(path), names, positions, rate_hz, None, unit_m, warnings, up)
 
 
@@ -145,26 +146,6 @@ def labels_of(layout: Layout) -> tuple[str, ...]:
         labels += _texts(layout, key)
     named = [label or f"unnamed {i}" for i, label in enumerate(labels[: layout.points])]
     return (*named, *(f"unnamed {i}" for i in range(len(named), layout.points)))
-
-
-def _names(layout: Layout, positions: F64, warnings: list[str]) -> tuple[str, ...]:
-    """Return a name for every marker; equal labels are numbered, so that none is taken for another."""
-    labels = labels_of(layout)
-    seen = [bool(np.isfinite(track[0]).any()) for track in positions]
-    twice = [
-        label
-        for label, count in Counter(label for label, there in zip(labels, seen, strict=True) if there).items()
-        if count > 1
-    ]
-    if twice:
-        warnings.append(f"several markers are called {', '.join(twice)}; none of them is used")
-    counts, counted = Counter(labels), Counter[str]()
-    names = []
-    for label, there in zip(labels, seen, strict=True):
-        counted[label] += 1
-        alone = there and label not in twice
-        names.append(label if alone or counts[label] == 1 else f"{label} ({counted[label]})")
-    return tuple(names)
 
 
 def _rate(layout: Layout, warnings: list[str]) -> float | None:

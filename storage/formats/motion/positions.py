@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import math
 import re
-from collections import Counter
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, ClassVar
@@ -35,6 +34,7 @@ from kinedex.storage.formats.motion.reader import (
     MotionFile,
     ReadSettings,
 )
+from kinedex.storage.formats.motion.shared_labels import unique_names
 from kinedex.storage.formats.source_files import any_text, as_number, part_of
 
 F64 = npt.NDArray[np.float64]
@@ -217,7 +217,7 @@ def parse_trc(path: Path) -> Points:
     """Read a TRC file (OpenSim, Pose2Sim and others): a header with rate, unit and labels, then one row a frame.
 
     An empty cell or `nan` is a gap; a point at 0, 0, 0 is a valid position. Markers without a label, which may stand
-    after the labelled ones in some rows, and markers with the same label as another, are dropped.
+    after the labelled ones in some rows, are dropped; of markers with the same label see `unique_names`.
     """
     head = trc_head(path)
     table = Table(path, head.separator, head.first, unlabelled=True)
@@ -237,7 +237,8 @@ def parse_trc(path: Path) -> Points:
     clock = _clock(path, times, where)
     warnings += _wrong_counts(head, table.rows, len(names))
     rate_hz, unit_m = _trc_rate(head, clock, warnings), _trc_unit(head, warnings)
-    return Points(str(path), _unique(names, warnings), positions, rate_hz, clock, unit_m, warnings)
+    unique = unique_names(names, positions, unit_m, warnings)
+    return Points(str(path), unique, positions, rate_hz, clock, unit_m, warnings)
 
 
 def _wrong_counts(head: TrcHead, frames: int, markers: int) -> list[str]:
@@ -268,19 +269,6 @@ def _trc_unit(head: TrcHead, warnings: list[str]) -> float | None:
     if unit not in _UNITS_M:
         warnings.append(f"its header has no unit of {', '.join(_UNITS_M)}" + (f", but {unit!r}" if unit else ""))
     return _UNITS_M.get(unit)
-
-
-def _unique(names: Sequence[str], warnings: list[str]) -> tuple[str, ...]:
-    """Return the names with equal ones numbered, so that none is taken for another."""
-    counts, counted = Counter(names), Counter[str]()
-    twice = [name for name, count in counts.items() if count > 1]
-    if twice:
-        warnings.append(f"several markers are called {', '.join(twice[:6])}; none of them is used")
-    unique = []
-    for name in names:
-        counted[name] += 1
-        unique.append(f"{name} ({counted[name]})" if counts[name] > 1 else name)
-    return tuple(unique)
 
 
 def _number(text: str) -> float | None:

@@ -197,7 +197,7 @@ QUIRKS = {
                              for i, line in enumerate(text.split("\n"))),
         ("its rows have up to 19 markers, its header names 17; the others, 45 cells in 10 of 20 rows",),
     ),
-    "two markers of one name": (lambda text: text.replace("left_eye", "nose"), ("several markers are called nose",)),
+    "two markers of one name": (lambda text: text.replace("left_eye", "nose"), ("nose (2 copies)",)),
     "numbers that are none": (lambda text: text.replace("\n1\t0.0000\t0\t", "\n1\t0.0000\t1.#QNAN\t"), ()),
     "a subject's name": (lambda text: text.replace("left_", "Ann:left_").replace("right_", "Ann:right_"), ()),
 }  # fmt: skip
