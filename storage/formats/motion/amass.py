@@ -54,8 +54,9 @@ PARTS = ("root_orient", "pose_body", "pose_hand", "pose_jaw", "pose_eye")
 """The keys of newer files, which hold the angles in parts."""
 
 _SYNONYMS = {
-    "poses": ("smpl_poses", "fullpose", "pose"),
-    "trans": ("smpl_trans", "transl", "smpl_transl", "translation"),
+    "poses": ("smpl_poses", "fullpose", "pose", "pose_est_fullposes"),
+    "trans": ("smpl_trans", "transl", "smpl_transl", "translation", "pose_est_trans"),
+    "betas": ("shape_est_betas",),
     "root_orient": ("global_orient", "smpl_global_orient"),
     "pose_body": ("body_pose", "smpl_body_pose"),
     "pose_jaw": ("jaw_pose",),
@@ -72,8 +73,14 @@ _READ = (
     *(key for keys in (*_SYNONYMS.values(), *_PAIRS.values()) for key in keys),
 )
 _SURE = frozenset(
-    ("smpl_poses", "smpl_trans", "smpl_scaling", "global_orient", "body_pose", "root_orient", "pose_body", "fullpose")
+    (
+        *("smpl_poses", "smpl_trans", "smpl_scaling", "global_orient", "body_pose", "root_orient", "pose_body"),
+        *("fullpose", "pose_est_fullposes"),
+    )
 )
+_MOSH = "stageii_debug_details"
+"""The dict of MoSh++'s pickles that holds the rate."""
+
 _HEAD = 4096  # bytes of a pickle that are searched for its first keys
 _NO_TAKE = (b"chumpy", b"J_regressor", b"v_template", b"shapedirs")
 SHIPPED = "smpl-amass"
@@ -279,8 +286,12 @@ def parse_amass(path: Path) -> Poses:
         inner = next((found[key] for key in _NESTED if isinstance(found.get(key), dict)), found)
         arrays = {key: value for key, value in inner.items() if not isinstance(value, dict) and key in _READ}
         names = list(arrays)
+        from_mosh = "pose_est_fullposes" in arrays or isinstance(inner.get(_MOSH), dict)
+        if from_mosh:
+            arrays |= _mosh_details(inner)
     else:
         arrays, names = load_arrays(path, _READ)
+        from_mosh = False
     from_aist = "smpl_poses" in arrays
     arrays = _usual(path, arrays)
     posed, rotations = _rotation_vectors(path, arrays)
@@ -300,11 +311,24 @@ def parse_amass(path: Path) -> Poses:
     if rate is not None and (rate.size != 1 or not SLOWEST_HZ <= float(rate.ravel()[0]) <= FASTEST_HZ):
         raise SourceError(path, f"the rate must be one number, {SLOWEST_HZ:g} to {FASTEST_HZ:g} Hz, got {rate}")
     rate_hz = None if rate is None else float(rate.ravel()[0])
-    from_amass = any(key in arrays for key in RATES[:2]) or (path.suffix.lower() == ".npz" and "gender" in arrays)
+    from_amass = not from_mosh and (
+        any(key in arrays for key in RATES[:2]) or (path.suffix.lower() == ".npz" and "gender" in arrays)
+    )
     known_hz = AIST_HZ if from_aist else None
     return Poses(
         posed, rotations, positions, shape, _gender(path, arrays), rate_hz, "z" if from_amass else None, known_hz
     )
+
+
+def _mosh_details(found: dict[str, Any]) -> dict[str, Any]:
+    """Return the rate and the gender of a pickle of MoSh++, which are in dicts within it."""
+    details = found.get(_MOSH)
+    details = details if isinstance(details, dict) else {}
+    model = details.get("cfg")
+    for key in ("surface_model", "gender"):
+        model = model.get(key) if isinstance(model, dict) else None
+    more = {"mocap_frame_rate": details.get("mocap_frame_rate"), "gender": model}
+    return {key: value for key, value in more.items() if isinstance(value, np.ndarray) and key not in found}
 
 
 def _usual(path: Path, arrays: dict[str, Any]) -> dict[str, Any]:

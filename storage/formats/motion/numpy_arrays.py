@@ -112,6 +112,11 @@ def _array(path: Path, file: IO[bytes], what: str, size: int) -> npt.NDArray[Any
     """Return an array in NPY format of `size` bytes in all, after a check of its header against them."""
     shape, _, dtype = npy_header(file)
     numbers = math.prod(shape)
+    if dtype.hasobject:
+        raise SourceError(
+            path, f"{what} holds Python objects ({dtype}), which are pickled and could run any code, so they are not "
+            "read; with a program that you trust, save it as an array of numbers or texts",
+        )  # fmt: skip
     if numbers * dtype.itemsize != size - file.tell():
         raise SourceError(
             path,
@@ -141,6 +146,9 @@ MAX_TUPLES = 20_000
 
 MAX_LISTS = 200_000
 """The largest number of lists and dicts; each takes far more memory than the byte that creates it."""
+
+MAX_LETTERS = 1 << 24
+"""The largest number of letters of a list of texts, each as long as the longest."""
 
 _WAY_OUT = (
     "a pickle can run any code, so only numbers, texts, lists, dicts and NumPy arrays are read; with a program that "
@@ -282,7 +290,7 @@ def load_pickle(path: Path) -> dict[str, Any]:
     Returns
     -------
     dict of str to array or dict
-        Lists of numbers become arrays; values that are neither numbers nor texts are left out.
+        Lists of floats and of texts become arrays; values that are neither numbers nor texts are left out.
 
     Raises
     ------
@@ -339,4 +347,7 @@ def _plain(found: Mapping[Any, Any], depth: int) -> dict[str, Any]:
                 plain[str(key)[:200]] = np.array(value)
         elif isinstance(value, list) and value and all(isinstance(item, float) for item in value):
             plain[str(key)[:200]] = np.array(value)
+        elif isinstance(value, list) and value and all(isinstance(item, str) for item in value):
+            # every text takes the room of the longest one
+            plain |= {str(key)[:200]: np.array(value)} if len(value) * max(map(len, value)) <= MAX_LETTERS else {}
     return plain

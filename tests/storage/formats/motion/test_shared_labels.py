@@ -2,13 +2,18 @@
 
 from __future__ import annotations
 
+import pickle
 from pathlib import Path
 
 import numpy as np
 import pytest
 
+from kinedex.catalog.features import load_feature_set
+from kinedex.catalog.skeletons.mappings import load_mappings
+from kinedex.ops.errors import SourceError
 from kinedex.storage.formats.motion.c3d import parse_c3d
 from kinedex.storage.formats.motion.positions import parse_positions
+from kinedex.storage.formats.motion.reader_table import is_motion_file, read_body
 from kinedex.storage.formats.motion.shared_labels import unique_names
 from tests.c3d_files import LABELS, standing_markers, write_c3d
 from tests.storage.formats.motion.test_positions import trc
@@ -88,3 +93,22 @@ def test_trc_and_c3d_files_come_in_with_the_copies_of_a_marker(tmp_path: Path) -
     for found in (parse_positions(tmp_path / "a.trc"), parse_c3d(write_c3d(tmp_path / "a.c3d", points, labels))):
         assert any("taken for one marker: LKNE (2 copies)" in warning for warning in found.warnings)
         np.testing.assert_allclose(found.positions[found.names.index("LKNE")], markers()[KNEE], atol=0.01)
+
+
+def test_markers_of_soma_come_in_as_those_of_a_c3d_file(tmp_path: Path) -> None:
+    points = markers()
+    points[KNEE, :, 3] = 0.0
+    content = {"markers": points.transpose(2, 0, 1), "labels": list(LABELS), "frame_rate": 100.0}
+    path = tmp_path / "a.pkl"
+    path.write_bytes(pickle.dumps(content, protocol=2))
+    assert is_motion_file(path)
+    joints = load_feature_set().joints
+    found, expected = (
+        read_body(each, None, load_mappings("auto", joints), joints)
+        for each in (path, write_c3d(tmp_path / "a.c3d", points.astype(np.float64), LABELS))
+    )
+    assert found.rate_hz == 100.0
+    np.testing.assert_allclose(found.positions, expected.positions, atol=1e-5)
+    path.write_bytes(pickle.dumps(content | {"labels": list(LABELS[1:])}))
+    with pytest.raises(SourceError, match="`labels` must be"):
+        read_body(path, None, load_mappings("auto", joints), joints)
