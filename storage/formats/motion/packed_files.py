@@ -257,10 +257,12 @@ def files_beside(path: Path, endings: tuple[str, ...]) -> list[Path]:
     if not endings:
         return []
     if container is None or container == path:
-        found = sorted(path.parent.iterdir())
-        return [other for other in found if split_ending(other.name)[1].lower() in endings and other.is_file()]
-    folder = os.path.dirname(_name_in(container, path))
-    start = f"{folder}/" if folder else ""
+        folder = path.parent.resolve()
+        found = (other for other in sorted(path.parent.iterdir()) if split_ending(other.name)[1].lower() in endings)
+        # what a link leads to outside of the folder is not copied
+        return [other for other in found if other.is_file() and other.resolve().is_relative_to(folder)]
+    within = os.path.dirname(_name_in(container, path))
+    start = f"{within}/" if within else ""
     return [
         container / name
         for name in archive(container).members

@@ -4,26 +4,34 @@ from __future__ import annotations
 
 import codecs
 import gzip
+import json
 import os
 import shutil
+import sys
 import zipfile
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 from typer.testing import CliRunner
 
 import kinedex
+from kinedex.catalog.keypoint_sets import load_keypoint_set
 from kinedex.commands.cli import app
 from kinedex.ops.errors import KinedexError
 from kinedex.pipelines.stages.ingest import Ingest
 from kinedex.storage.formats.motion.sources import checksum
 from kinedex.storage.store.store import open_store
+from tests.bvh_files import dance, mixamo
 from tests.fuzz import seeds
+from tests.gltf_files import dancing_gltf
 from tests.pipelines.archives import context, human_amc, human_asf, write_archive
+from tests.point_files import keypoints_of
 from tests.real_data import SHARED
 
+BODY_25 = load_keypoint_set("body-25").order
 PLACES = {"take_id", "name", "source", "source_root", "source_mtime_ns", "skeleton_source"}
 """The columns of takes that differ between a file and its packed twin."""
 
@@ -134,6 +142,41 @@ def test_takes_of_gz_files_equal_those_of_the_files_to_the_bit(
     expected = content(unpacked_store)
     expected.pop("file a/sim/walk.osim")
     assert found == expected
+
+
+def test_files_of_a_sequence_and_buffers_beside_are_unpacked_with_a_file(tmp_path: Path) -> None:
+    root, scene = tmp_path / "plain/a", dancing_gltf(mixamo(), dance(mixamo(), 9))
+    (root / "sub").mkdir(parents=True)
+    (root / "c.gltf").write_bytes(scene.gltf("sub/d.bin"))
+    (root / "sub/d.bin").write_bytes(scene.binary)
+    for number, points in enumerate(keypoints_of(BODY_25, 12)):
+        flat = np.concatenate([points, np.ones((25, 1))], axis=1).ravel().tolist()
+        text = json.dumps({"version": 1.3, "people": [{"pose_keypoints_3d": flat}]})
+        (root / f"walk_{number:012d}_keypoints.json").write_text(text)
+    zipped(root, tmp_path / "source/a.zip")
+    for name, data in files_below(root).items():
+        place = tmp_path / "gz/a" / (f"{name}.gz" if name.endswith(("json", "gltf")) else name)
+        place.parent.mkdir(parents=True, exist_ok=True)
+        place.write_bytes(gzip.compress(data) if place.suffix == ".gz" else data)
+    for source, store in (("plain", "s1"), ("source", "s2"), ("gz", "s3")):
+        bring_in(tmp_path / store, tmp_path / source, rate_hz=30.0)
+    expected = content(tmp_path / "s1")
+    assert expected["file a/walk_000000000000_keypoints.json"] == expected["file a/c.gltf"] == ("in", 1)
+    assert content(tmp_path / "s2", lambda source: source.replace("a.zip/", "a/")) == expected
+    found = content(tmp_path / "s3", lambda source: source.removesuffix(".gz"))
+    walk = str(("a/walk_000000000000_keypoints.json", None))
+    assert found[walk] == expected[walk]
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="links")
+def test_a_link_beside_a_packed_file_does_not_lead_out_of_the_folder(tmp_path: Path) -> None:
+    scene = dancing_gltf(mixamo(), dance(mixamo(), 9))
+    (tmp_path / "source").mkdir()
+    (tmp_path / "out.bin").write_bytes(scene.binary)
+    (tmp_path / "source/c.gltf.gz").write_bytes(gzip.compress(scene.gltf("d.bin")))
+    (tmp_path / "source/d.bin").symlink_to(tmp_path / "out.bin")
+    with pytest.raises(KinedexError, match=r"c\.gltf\.gz: names d\.bin, which is not there"):
+        kinedex.read(tmp_path / "source/c.gltf.gz")
 
 
 def test_several_processes_read_an_archive_as_one_does(plain: Path, tmp_path: Path) -> None:
