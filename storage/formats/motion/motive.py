@@ -70,13 +70,16 @@ def _table(path: Path) -> _Table:
         raise SourceError(path, f"expected a row 'Frame,Time (Seconds),X,…' in its first {_HEADER_LINES} lines", line=1)
     axes, kinds, names, parts = rows[last], *_described(path, rows[1:last])
     stated = dict(zip(rows[0][::2], rows[0][1::2], strict=False))
-    points: dict[str, dict[str, dict[str, int]]] = {}
+    points: dict[str, list[tuple[str, dict[str, int]]]] = {}
     for i, axis in enumerate(axes):
         kind, name, part = (row[i] if i < len(row) else "" for row in (kinds, names, parts))
         if kind in _KINDS and part == "Position" and axis in ("X", "Y", "Z") and not _UNLABELED.match(name):
-            points.setdefault(kind, {}).setdefault(name, {})[axis] = i
+            of_kind = points.setdefault(kind, [])
+            if not of_kind or of_kind[-1][0] != name or axis in of_kind[-1][1]:
+                of_kind.append((name, {}))
+            of_kind[-1][1][axis] = i
     used = next((kind for kind in _KINDS if kind in points), None)
-    if used is None or not all(len(found) == 3 for found in points[used].values()):
+    if used is None or not all(len(found) == 3 for _, found in points[used]):
         held = sorted({cell for cell in kinds if cell and cell != "Type"}) or ["no columns"]
         raise SourceError(
             path, f"has no positions of bones or labelled markers, only {', '.join(held[:6])}; export it with bones, "
@@ -84,9 +87,10 @@ def _table(path: Path) -> _Table:
         )  # fmt: skip
     if len(points[used]) > MAX_POINTS:
         raise SourceError(path, f"expected at most {MAX_POINTS} points, found {len(points[used])}", line=last + 1)
-    columns = tuple((at["X"], at["Y"], at["Z"]) for at in points[used].values())
+    columns = tuple((at["X"], at["Y"], at["Z"]) for _, at in points[used])
     texts = tuple(i for i, axis in enumerate(axes) if axis.lower().startswith("timecode"))
-    return _Table(path, tuple(points[used]), tuple(axes), columns, last + 1, texts=texts, kind=used, stated=stated)
+    labels = tuple(name for name, _ in points[used])
+    return _Table(path, labels, tuple(axes), columns, last + 1, texts=texts, kind=used, stated=stated)
 
 
 def _described(path: Path, rows: list[list[str]]) -> tuple[list[str], list[str], list[str]]:

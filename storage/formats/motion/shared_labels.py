@@ -39,7 +39,7 @@ def unique_names(labels: Sequence[str], positions: F64, unit_m: float | None, wa
     names = list(labels)
     alike = _alike(labels)
     if alike:
-        seen = [bool(np.isfinite(track).all(axis=0).any()) for track in positions]
+        seen = np.isfinite(positions.sum(axis=1)).any(axis=1)
         joined, different, nearest = list[str](), list[str](), _nearest(positions, unit_m)
         for label, copies in alike.items():
             there = [i for i in copies if seen[i]]

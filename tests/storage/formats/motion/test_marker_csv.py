@@ -61,6 +61,39 @@ def test_markers_of_motive_are_points_where_there_are_no_bones(tmp_path: Path) -
     assert any("type Marker" in warning for warning in body.warnings)
 
 
+OLDER = {"Hip": "root", "Ab": "belly", "Chest": "chest", "Neck": "neck", "Head": "head"} | {
+    f"{side.upper()}{part}": side + joint
+    for side in "lr"
+    for part, joint in zip(
+        ("Shoulder", "UArm", "FArm", "Hand", "Thigh", "Shin", "Foot", "Toe"),
+        ("clavicle", "shoulder", "elbow", "wrist", "hip", "knee", "ankle", "toes"), strict=True,
+    )
+}  # fmt: skip
+"""The bones of Motive 1, each with the joint at its beginning."""
+
+
+@pytest.mark.parametrize("version", ["1.0", "1.1", "1.2"])
+@pytest.mark.parametrize("prefix", ["", "Skeleton 001_", "Skeleton 001:", "Skeleton:"])
+def test_bones_of_motive_1_are_joints_of_a_body(tmp_path: Path, version: str, prefix: str) -> None:
+    points = WALK[:, [JOINTS.index(joint) for joint in OLDER.values()]]
+    text = motive_csv(points, [prefix + name for name in OLDER], version=version, unit="Meters")
+    if version == "1.0":
+        text = text.replace(",Length Units,Meters,Coordinate Space,Global", "").replace("Time (Seconds)", "Time")
+    body = read(write(tmp_path / "a.csv", text))
+    held = [
+        ORDER.index(joint) for joint in OLDER.values() if joint not in ("belly", "chest")
+    ]  # a third of the spine each
+    np.testing.assert_allclose(body.positions[held], EXPECTED[held], atol=1e-4)
+    assert {"lfingers", "rfingers", "headtop"} == set(body.estimated)
+
+
+def test_two_markers_of_motive_with_one_name_are_not_taken_for_one(tmp_path: Path) -> None:
+    points = 1000 * np.concatenate([WALK, WALK[:, :1] + 0.2], axis=1)
+    body = read(write(tmp_path / "a.csv", motive_csv(points, (*JOINTS, "lknee"), kind="Marker")))
+    assert any("lknee stand for several points each, and are not used" in warning for warning in body.warnings)
+    assert "lknee" in (*body.unknown, *body.estimated)
+
+
 def test_several_skeletons_are_several_persons(tmp_path: Path) -> None:
     other = WALK + np.array([0.0, 0.0, 3.0])
     names = (*SKELETON, *(f"Bob:{joint}" for joint in JOINTS))
