@@ -35,6 +35,7 @@ giants, and stylised figures, which are ingested with a warning on their height.
 
 _LEGS = (("lhip", "lknee", "lankle"), ("rhip", "rknee", "rankle"))
 _TRUNK = ("root", "belly", "chest", "neck", "head", "headtop")
+_LIKELY_M = (0.9, 2.3)  # heights of nearly everybody from the age of two
 _POSSIBLE_M = (0.4, 4.1)  # heights with which a stated unit is accepted
 _ADULTS_FIRST = ((ADULT_M, HUMAN_M[1]), HUMAN_M, *RARE_HEIGHTS_M)
 _LOST = {f"units of {factor:g} of its own": factor for factor in (10.0, 100.0, 1000.0)}
@@ -94,6 +95,22 @@ def rival_unit(unit_m: float, height_m: float) -> tuple[str, float] | None:
         if other_m != unit_m and HUMAN_M[0] <= height_m / unit_m * other_m <= HUMAN_M[1]:
             return name, height_m / unit_m * other_m
     return None
+
+
+def unlikely_height(positions: F64, joints: tuple[str, ...], unit_m: float) -> float | None:
+    """Return the height of a body in metres if hardly anybody is so short or so tall; None for a likely one.
+
+    Parameters
+    ----------
+    positions : float64 array (J, 3, T)
+        Of the named joints, in the file's unit.
+    joints : tuple of str
+        The names of the J joints.
+    unit_m : float
+        Metres of the stated unit.
+    """
+    height = body_height(positions, joints)
+    return None if height is None or _LIKELY_M[0] <= height * unit_m <= _LIKELY_M[1] else height * unit_m
 
 
 def contradicted_unit(positions: F64, joints: tuple[str, ...], unit_m: float) -> tuple[str, float, float] | None:

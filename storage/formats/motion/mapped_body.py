@@ -16,7 +16,7 @@ from kinedex.catalog.configs import shipped_configs
 from kinedex.catalog.skeletons.body_evidence import SAMPLED_FRAMES
 from kinedex.catalog.skeletons.recognition.recognised_tree import judged_up
 from kinedex.catalog.skeletons.skeleton_fit import Fit, axes_of_up
-from kinedex.catalog.skeletons.units import FEET_M, contradicted_unit, guess_unit, rival_unit
+from kinedex.catalog.skeletons.units import FEET_M, contradicted_unit, guess_unit, rival_unit, unlikely_height
 from kinedex.ops.body import kinematics
 from kinedex.ops.body.tempo import likely_rate
 from kinedex.ops.errors import SourceError
@@ -251,6 +251,11 @@ def to_metres(
             f"{height / other_m * unit_m:.3g} m high; it is read in {name}, which make it {height:.2f} m high"
         )
         unit_m = other_m
+    elif stated and (height := unlikely_height(positions[:, :, frame:], joints, unit_m)) is not None:
+        warnings.append(
+            f"its unit or scale is doubtful: {stated} {unit_m:.6g} m, which makes the body {height:.2f} m high; "
+            "another one is `unit_m` in a skeleton mapping of your own"
+        )
     positions *= unit_m
     return unit
 
