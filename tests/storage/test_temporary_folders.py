@@ -47,14 +47,14 @@ def test_the_folder_of_a_killed_process_is_removed_by_the_next_and_that_of_a_run
     try:
         kept, left = (Path(one.stdout.readline().strip()) for one in (running, killed) if one.stdout is not None)
         killed.send_signal(signal.SIGKILL)
-        killed.wait()
+        killed.wait(timeout=60)
         assert (left / "walk.bvh").is_file()
         with temporary_folder():
             assert not left.exists()
             assert (kept / "walk.bvh").is_file()
     finally:
         running.kill()
-        running.wait()
+        running.wait(timeout=60)
     temporary_folders._remove_abandoned.cache_clear()
     with temporary_folder():
         pass

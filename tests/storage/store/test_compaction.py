@@ -195,7 +195,7 @@ def test_a_writer_refuses_parts_that_do_not_hold_the_same(tmp_path: Path) -> Non
     first, second, third = store.manifest.frames
     with StoreWriter.open(tmp_path, BODY) as writer:
         for old, new in (([first], [second]), ([first, second], [third]), ([first], [])):
-            with pytest.raises(StoreError, match="do not hold what the old ones do"):
+            with pytest.raises(StoreError, match="do not have the rows of the old"):
                 writer.swap_parts("frames", old, new)
         add(writer, {"new": 3})
         with pytest.raises(StoreError, match="commit them first"):
