@@ -100,7 +100,10 @@ class CachingThesisMethod(ThesisMethod):
         return cls(templates.quantised, templates.class_index, templates.thresholds)
 
     def matches(self, words: TakeWords, ranges: Sequence[I64]) -> Matches:
-        """Return the minima of the distance curve of each template in whole takes; see `ThesisMethod.matches`."""
+        """Return the matches of each template as `ThesisMethod.matches` does, from the cache if it has them.
+
+        The cache does not distinguish ranges, so `ranges` must be whole takes.
+        """
         taus = self.thresholds[self.class_index]
         takes = words.take_ids.tobytes()
         keys = [(*self.scope, takes, *template_key(one)) for one in self.templates]

@@ -220,8 +220,10 @@ def take_labels(archive: Archive, request: Request) -> Row:
     Returns
     -------
     dict
-        `rows`, all rows of labels of the take with `current`; `stage`, the stage of the annotations (that of
-        the query's `stage`, or of the current pipeline; None where nothing was annotated), and its `annotations`.
+        `rows`, all rows of labels of the take, each with `current`, which is false if another row replaces it or if it
+        only withdraws another; `stage`, the stage that the request names, otherwise the one that the view `annotations`
+        shows, None if nothing was annotated; and `annotations`, those of this stage. Also `take_id`, `take` (its name),
+        `frames`, `rate_hz`, `version` of the store, `command` and `python`.
     """
     store, take_id = take_of(archive, request)
     name = store.take_names[take_id]
@@ -370,7 +372,7 @@ def label_commands(archive: Archive, rows: Iterable[Row], known: Mapping[str, Ro
 
 
 def _line(archive: Archive, row: Row, before: Row | None) -> tuple[str, str]:
-    """Return the command and the Python line that record the same decision about a label."""
+    """Return the shell command and the line of Python that record the decision `row`; `before` is what it replaces."""
     person = row.get("annotator")
     by, by_person = (["--annotator", person], f", annotator={person!r}") if person else ([], "")
 
@@ -395,7 +397,7 @@ def _line(archive: Archive, row: Row, before: Row | None) -> tuple[str, str]:
 
 
 def _change(command: Any, row: Row, before: Row, by_person: str) -> tuple[str, str]:
-    """Return the command and the Python line that correct a label as the page did."""
+    """Return the shell command and the line of Python that change the label `before` into `row`."""
     id = str(before["id"])[:_ID]
     given = {key: row[key] for key in ("class", "start", "stop", "verdict") if row[key] != before[key]}
     options = [word for key, value in given.items() for word in (f"--{key}", str(value))]
@@ -405,7 +407,7 @@ def _change(command: Any, row: Row, before: Row, by_person: str) -> tuple[str, s
 
 
 def _decide(command: Any, row: Row, by_person: str) -> tuple[str, str]:
-    """Return the command and the Python line that accept or reject an annotation."""
+    """Return the shell command and the line of Python that accept or reject an annotation."""
     name = "accept" if row["verdict"] == "positive" else "reject"
     edges = f"start = {row['start']} AND stop = {row['stop']}"
     take, label = quote(row["take"]), quote(row["class"])

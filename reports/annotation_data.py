@@ -161,7 +161,10 @@ class Reader:
         self._inputs = inputs
 
     def table(self, kind: str, role: str | None = None) -> pa.Table:
-        """Return the rows of a kind of result from the stage with a role, by default that of the kind in `ROLES`."""
+        """Return the rows of results of `kind` from the stage that the report has as its input `role`.
+
+        By default, the input is that of the kind in `ROLES`.
+        """
         return self._store.result(kind, stage=f"{self._pipeline}/{self._inputs.get(role or ROLES[kind])}")
 
     def frame(self, kind: str) -> pl.DataFrame:
@@ -204,7 +207,7 @@ class Reader:
         return tuple(rows)
 
     def record(self, role: str) -> StageRow | None:
-        """Return the record of the stage that is the input of a role; None if there is none."""
+        """Return the record of the stage that the report has as its input `role`; None if there is none."""
         return next((record for record in self.records() if record.stage == self._inputs.get(role)), None)
 
 

@@ -183,9 +183,10 @@ def strips(
 ) -> Strips:
     """Lay out a take: the manual segments on top, the segments of each method below.
 
-    Segments of methods are compared with manual segments, and manual segments with the first method in `outcomes`. A
-    block is wrong if the compared segments of its class have no frame in common with it. `near` has the place of the
-    nearest example of (class, start, stop).
+    Segments of methods are compared with manual segments, and manual segments with those of the first method in
+    `outcomes`. A segment is drawn as wrong if none of those that it is compared with has its class and shares a frame
+    with it.
+    `near` has the place of the nearest example of (class, start, stop).
     """
     manual = sorted(test_take.truth, key=lambda one: (one.start, one.stop, one.label))
     sides: list[tuple[str, Sequence[TakeSegment], Sequence[TakeSegment]]] = [

@@ -98,7 +98,10 @@ class ExplainedSegment:
 
 
 def _linear(templates: Sequence[Template], usual: F64, decoding: Decoding) -> tuple[F64, F64]:
-    """Return log P(word | column) / f plus the gain, linear in the bits of a word: slopes (f, C), intercepts (C,)."""
+    """Return slopes (f, C) and intercepts (C,) of the score of a word in a column, which is linear in the word's bits.
+
+    The score is the log likelihood of the word under the column, divided by the number f of features, plus the gain.
+    """
     values = np.concatenate([template.values for template in templates])
     if usual.ndim != 2 or values.shape[1] != usual.shape[1]:
         raise ParameterError("usual", f"postures of {values.shape[1]} features", usual.shape)
@@ -109,7 +112,10 @@ def _linear(templates: Sequence[Template], usual: F64, decoding: Decoding) -> tu
 
 
 def _offsets(words: U64, usual: F64, decoding: Decoding) -> F64:
-    """Return −log P(word | background) / f for each frame."""
+    """Return for each word its negative log likelihood under the background, divided by the number of features.
+
+    The postures `usual` describe the background; see `ops.annotation.background`.
+    """
     return -log_likelihoods(words, usual, decoding.smoothing) / usual.shape[1]
 
 

@@ -231,7 +231,7 @@ def frame_words(
     positions: F64, orientation: F64, rate_hz: float, terms: I64, factors: F64, lists: I64, given: F64, rules: I64,
     thresholds: F64, words: U64,
 ) -> None:  # fmt: skip
-    """Fill in the words of consecutive valid frames.
+    """Compute the words of consecutive valid frames: one bit for each feature.
 
     Parameters
     ----------
@@ -254,7 +254,7 @@ def frame_words(
     thresholds : float64 array (R, 4)
         The low and high weak, and the low and high strong threshold of each rule.
     words : uint64 array (T,)
-        The words.
+        Receives the word of each frame.
     """
     frames = len(words)
     state = np.zeros(2, np.uint64)
@@ -299,7 +299,7 @@ def _total(values: F64, terms: I64, total: F64) -> F64:
 def _evaluate(
     x: F64, orientation: F64, rate_hz: float, term: I64, lists: I64, given: F64, vectors: F64, start: int, out: F64
 ) -> None:
-    """Fill in the values of a term without its factor, in the frames from `start` on."""
+    """Compute the values of a term without its factor into `out`, in the frames from `start` on."""
     a, b, c, q, kind, window = term[A], term[B], term[C], term[Q], term[KIND], term[WINDOW]
     joints = lists[term[FIRST] : term[STOP]]
     n, v, w = vectors[0], vectors[1], vectors[2]
@@ -351,7 +351,7 @@ def _evaluate(
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def _least_speed(x: F64, joints: I64, window: int, rate_hz: float, vectors: F64, start: int, out: F64) -> None:
-    """Fill in the smallest speed of the given joints; NaN if the speed of a joint is unknown."""
+    """Compute the smallest speed of the given joints into `out`; NaN if the speed of a joint is unknown."""
     v, speed = vectors[0], vectors[1, 0]
     for i in range(len(joints)):
         p.velocity(x, joints[i], -1, window, rate_hz, start, v)

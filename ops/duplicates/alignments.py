@@ -147,7 +147,11 @@ def _joined(parts: Sequence[Alignments]) -> Alignments:
 
 
 def _blocks(votes: I64, most: int) -> Iterator[tuple[int, int]]:
-    """Yield ranges of takes that, as first takes of pairs, have at most `most` votes in total, or are a single take."""
+    """Yield consecutive ranges [start, stop) of takes whose `votes` sum to at most `most`.
+
+    The votes of a take are those of the pairs of which it is the first take. A take that alone has more than `most`
+    shares its range only with takes that have none.
+    """
     low, held = 0, 0
     for take, own in enumerate(votes.tolist()):
         if held and held + own > most:

@@ -79,7 +79,10 @@ def _greedy(amounts: F64, goal: F64) -> I64:
 
 
 def _improved(chosen: I64, amounts: F64, goal: F64) -> I64:
-    """Move groups between splits and exchange pairs of groups as long as this brings the fractions closer."""
+    """Move or exchange groups as long as this brings the sizes of the splits closer to `goal`.
+
+    `chosen`, the split of each group, is changed in place and returned. At most `_ROUNDS` changes are made.
+    """
     for _ in range(_ROUNDS):
         if not (_move(chosen, amounts, goal) or _exchange(chosen, amounts, goal)):
             break
@@ -92,7 +95,7 @@ def _held(chosen: I64, amounts: F64, goal: F64) -> F64:
 
 
 def _move(chosen: I64, amounts: F64, goal: F64) -> bool:
-    """Make the move of one group that improves the shares most; return False if none does."""
+    """Move the one group whose move brings the sizes of the splits closest to `goal`; return False if no move helps."""
     held = _held(chosen, amounts, goal)
     over = held - goal
     # the change of the squared errors if group g moves from its split to split k
@@ -107,7 +110,10 @@ def _move(chosen: I64, amounts: F64, goal: F64) -> bool:
 
 
 def _exchange(chosen: I64, amounts: F64, goal: F64) -> bool:
-    """Exchange the first group that has an improving exchange with the best partner; return False if there is none."""
+    """Exchange the splits of two groups; return False if no exchange brings the sizes of the splits closer to `goal`.
+
+    The first group for which an exchange helps is exchanged with the group for which it helps most.
+    """
     over = _held(chosen, amounts, goal) - goal
     least = -1e-9 * max(1.0, float(goal.sum())) ** 2
     for group in range(len(chosen)):

@@ -55,7 +55,7 @@ class Counts:
 
     @property
     def f1(self) -> float:
-        """Return the F-measure by frames (thesis, Eq. 5.12)."""
+        """Return the F-measure by frames (thesis, Eq. 5.12), from `p1` and `r1`."""
         return f_measure(self.p1, self.r1)
 
     @property
@@ -70,7 +70,7 @@ class Counts:
 
     @property
     def f2(self) -> float:
-        """Return the F-measure by segments."""
+        """Return the F-measure by segments, from `p2` and `r2`; precision and recall have equal weights."""
         return f_measure(self.p2, self.r2)
 
 

@@ -213,7 +213,11 @@ def cartwheel(score: Score) -> None:
 
 
 def _wheel_point(score: Score, start: float, stop: float, u: float, far: float, straddle: float, bent: float) -> None:
-    """Add the keyframes of one moment of a cartwheel: the pelvis on its arc, with straddled legs in its frame."""
+    """Add the keyframes of a cartwheel at fraction `u` (0 to 1): the pelvis on its arc, the straddled legs, the hands.
+
+    The pelvis moves by `far` in all. A leg in the air is spread from the axis of the trunk by up to `straddle` degrees.
+    Its ankle is at the distance `bent` from the pelvis. Both lengths are in leg lengths.
+    """
     turned = 360.0 * (u - math.sin(2 * math.pi * u) / (2 * math.pi) * 0.35)
     over = math.radians(turned)
     # Upside down the pelvis is supported by trunk and arms instead of legs.

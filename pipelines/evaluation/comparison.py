@@ -115,7 +115,7 @@ def plan_comparison(context: StageContext, params: ComparisonParameters) -> Plan
 
 
 def compare_methods(context: StageContext, plan: Plan) -> Study | None:
-    """Compute the cells that are missing, and score all methods.
+    """Compute every method in every fold where the store lacks the result, and score all methods.
 
     Parameters
     ----------
@@ -127,13 +127,14 @@ def compare_methods(context: StageContext, plan: Plan) -> Study | None:
     Returns
     -------
     Study, optional
-        The comparison; None if the method of a stage `annotate` is repeated, but no take has ground truth or no
-        split has a fold, which is reported.
+        The comparison. None, after a message for each split, if the only method is that of a stage `annotate`, and no
+        split has both ground truth and a fold.
 
     Raises
     ------
     KinedexError
-        A split of other methods has no ground truth or no fold, or parameters do not fit the store.
+        The methods were given as parameters, and a split has no ground truth or no fold; or parameters do not fit the
+        store.
     """
     store, params = context.open(), plan.params
     known = _known(context, params, store)

@@ -212,7 +212,10 @@ def split_facts(rows: Sequence[Mapping[str, Any]], how: ClipOptions) -> dict[str
 def _with_values(
     splits: dict[str, dict[str, Any]], done: Sequence[Done], how: ClipOptions
 ) -> dict[str, dict[str, Any]]:
-    """Return the facts of splits with the values of the column that defines them."""
+    """Return the facts of each split with `values` added: the sorted values of the column `how.split` in its clips.
+
+    If no column is given, the facts are returned unchanged.
+    """
     if how.split is None:
         return splits
     values = {name: {one.job.row[how.split] for one in done if one.job.clip.folder == name} for name in splits}

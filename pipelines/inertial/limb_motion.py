@@ -100,7 +100,10 @@ def take_limbs(segments: BodyLimbs, joints: Sequence[str], limbs: Iterable[str])
 def _orientation(
     limb: Limb, segments: BodyLimbs, positions: dict[str, F64], remarks: list[str]
 ) -> tuple[str, F64, SegmentFit | None]:
-    """Return the basis of a limb's orientation, the orientation (T, 4), and the fit of its markers if there are any."""
+    """Return the source of a limb's orientation (`LimbMotion.basis`), the orientation (T, 4), and a fit of markers.
+
+    The fit is None if the orientation is not computed from markers of the limb.
+    """
     if limb.name in segments.rotations:
         return FULL, segments.rotations[limb.name], None
     if limb.name in segments.markers:
@@ -184,7 +187,7 @@ class LimbFigures:
     Attributes
     ----------
     bases : Counter of str
-        The number of limbs of each basis.
+        The number of limbs for each source of their orientation (`LimbMotion.basis`).
     frames : int
         The number of source frames of the takes.
     jumped : int

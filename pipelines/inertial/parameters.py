@@ -181,8 +181,8 @@ class LimbOrientationsParameters(StageParameters):
 
     where: str | None = Field(
         None,
-        description="SQL filter over the columns of takes: those whose limbs are read; unless given, those that wear "
-        "sensors by read_imu, and all in a pipeline without it",
+        description="SQL filter over the columns of takes: those whose limbs are read; unless given, the takes with a "
+        "sensor that read_imu assigned to a limb, or all takes in a pipeline without read_imu",
     )
     limbs: Limbs = Field(
         default_factory=list,

@@ -294,7 +294,7 @@ class KnownFiles:
         Raises
         ------
         SourceError
-            A take with the same path below another root, which still exists, has other content: it may be another
+            A known file with the same path below another root still exists and has other content; it may be another
             version of the same motion.
         """
         motion = content.motion

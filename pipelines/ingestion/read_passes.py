@@ -145,7 +145,7 @@ class FilesRead:
 
 
 class ReadPasses:
-    """The passes of reading of one ingest.
+    """Reads the files of one ingest in passes, and commits their takes in batches.
 
     Parameters
     ----------

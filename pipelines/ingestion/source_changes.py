@@ -162,7 +162,7 @@ def compare_source(
 
 
 class _Comparison:
-    """A comparison of a source with a store in progress."""
+    """A comparison, in progress, of the files of a source with the takes of a store."""
 
     def __init__(self, writer: StoreWriter, found: Scan, naming: Naming) -> None:
         self.writer = writer

@@ -264,7 +264,10 @@ def _takes(rows: Iterable[dict[str, Any]]) -> str:
 
 
 def _hold_one_motion(store: Snapshot, rows: Sequence[dict[str, Any]]) -> bool:
-    """Return whether all takes contain the same motion; takes of equal files are not compared."""
+    """Return whether all takes contain the same motion.
+
+    Of takes with the same file content (and the same person), only one is compared with the others.
+    """
     from kinedex.pipelines.inspection.duplicates import hold_one_motion
 
     by_file: dict[tuple[str, str | None], str] = {}

@@ -201,7 +201,11 @@ def _filmed(store: Store, request: DepthRequest, body: FilmedBody, take: str) ->
 
 
 def _way_out(joints: F64, known: Bool, start: int, stop: int) -> str:
-    """Return the unknown joint or frame of a take, and an interval that can be recorded, as text."""
+    """Return the end of an error message about a take with unknown joints.
+
+    It names the first frame of the request with an unknown joint, and the longest interval whose joints are all known,
+    or says that no frame has all joints.
+    """
     first = start + int(np.argmin(known[start:stop]))
     joint = JOINTS[int(np.argmin(np.isfinite(joints[first]).all(axis=1)))]
     ends = np.flatnonzero(np.diff(np.concatenate([[False], known, [False]]).astype(np.int8)))

@@ -89,7 +89,11 @@ def _remarks(study: Study) -> list[str]:
 
 
 def _store_metrics(context: StageContext, plan: Plan, study: Study | None) -> None:
-    """Store the metrics of every split and method, named after the split alone if a stage's method is repeated."""
+    """Store the metrics of every split and method.
+
+    Their evaluation is named after split and method, or after the split alone if the only method is that of a stage
+    `annotate`.
+    """
     tables = [
         metrics_rows(
             Evaluation(
@@ -105,7 +109,7 @@ def _store_metrics(context: StageContext, plan: Plan, study: Study | None) -> No
 
 
 def _write(context: StageContext, params: ComparisonParameters, study: Study) -> list[str]:
-    """Write page, summary and JSON, and return their paths within the store, the page first."""
+    """Write the page of a comparison, its summary and its JSON file, and return their paths within the store."""
     page = drawn_by(PAGE)(context.open(), study, params.embed, context.stage, context.progress)
     as_json = json_text(study_json(study))
     files = []

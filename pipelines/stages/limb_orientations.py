@@ -77,7 +77,11 @@ class LimbOrientations(Stage[LimbOrientationsParameters]):
 
 
 def _takes(context: StageContext, store: Store, where: str | None) -> list[str]:
-    """Return the takes that a filter selects; without a filter those with sensors, or all if that is not known."""
+    """Return the takes that a filter selects.
+
+    Without a filter, these are the takes with a sensor that is assigned to a limb, or all takes if the stage has no
+    input `sensors`.
+    """
     takes: list[str] = store.takes_table(where)["name"].to_pylist()
     if where is not None or "sensors" not in context.inputs:
         return takes

@@ -169,7 +169,7 @@ def _fingerprints(store: Store, stage: str) -> dict[str, str]:
 
 
 def _earlier_failures(store: Store, stage: str, unchanged: set[str]) -> list[Failure]:
-    """Return the logged failures about sensors of unchanged recordings that are assigned to no limb."""
+    """Return the logged failures of sensors that are assigned to no limb, in recordings that are unchanged."""
     rows = earlier_rows(store, "imu_recordings", stage)
     files = {str(row["file"]) for row in rows if row["recording"] in unchanged and row["limb"] is None}
     return [

@@ -77,7 +77,10 @@ def put_for_takes(
 
 
 def earlier_rows(store: Store, kind: str, stage: str) -> list[dict[str, object]]:
-    """Return the rows of a small kind of results that a stage has; an empty list if they cannot be read."""
+    """Return all rows of results of `kind` that a stage has stored; an empty list if they cannot be read.
+
+    All rows are in memory at once, so this is for results with few rows.
+    """
     parts = store.stage_parts(kind, stage)
     try:
         return [row for rows in store.result_pieces(kind, parts) for row in rows.to_pylist()]

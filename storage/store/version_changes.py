@@ -43,11 +43,11 @@ class Facts:
         self._names: dict[str, list[str]] = {}
 
     def count(self, fact: str, number: int) -> None:
-        """Add a number to a fact of `COUNTS`."""
+        """Add `number` to the count `fact`, one of `COUNTS`."""
         self._counts[fact] += number
 
     def name(self, fact: str, name: str) -> None:
-        """Add a name to the list of a fact of `NAMES`, unless the list contains it."""
+        """Append `name` to the list `fact`, one of `NAMES`, unless it is there already."""
         names = self._names.setdefault(fact, [])
         if name not in names:
             names.append(name)

@@ -163,7 +163,11 @@ def _head_score(tree: Tree, at: int, child: int, line: list[int], legs: Pair) ->
 
 
 def _head_way(tree: Tree, top: int) -> tuple[int, ...]:
-    """Return the nodes of neck and head: the path to the node named as head and past it, or the longest path."""
+    """Return the nodes of neck and head: those from `top` to the first node named as head, and the end of the head.
+
+    The end is a child of that node that is an end or named as a part of the head, if there is one. If no node is named
+    as head, the longest path below `top` is returned.
+    """
     named = [node for node in tree.below(top) if "head" in tree.parts[node] and not tree.names[node].end]
     if not named:
         return tuple(tree.longest_way(top))

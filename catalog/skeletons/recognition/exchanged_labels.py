@@ -110,7 +110,11 @@ def _times(a: float, b: float) -> str:
 
 
 def _sides(places: Mapping[str, F64], called: Mapping[str, str], leg: float) -> Iterator[str]:
-    """Yield a clause for each landmark that is nearer to the other side, or not as far from its neighbour as there."""
+    """Yield a clause for each landmark whose left and right points seem to be exchanged, or are not alike.
+
+    Exchanged points are nearer to each other's neighbours than to their own. Of points that are not alike, one is
+    farther from its neighbour than the other is.
+    """
     for part, inner in ((part, inner) for part, nearer in _CHAIN.items() for inner in nearer):
         if not {f"{side}{name}" for side in SIDES for name in (part, inner)} <= places.keys():
             continue
@@ -153,7 +157,10 @@ def _moving(places: Mapping[str, F64], called: Mapping[str, str], leg: float) ->
 
 
 def _farther(places: Mapping[str, F64], called: Mapping[str, str]) -> Iterator[str]:
-    """Yield a clause for each landmark that is nearer to the trunk, or to the heel, than one that lies before it."""
+    """Yield a clause for each triple of `_FARTHER` whose third landmark is nearer to the first than the second is.
+
+    This is impossible in a real limb: a heel, for example, is farther from the knee than the ankle is.
+    """
     for side in SIDES:
         for first, near, far in ((f"{side}{a}", f"{side}{b}", f"{side}{c}") for a, b, c in _FARTHER):
             if {first, near, far} <= places.keys():
@@ -198,7 +205,10 @@ def _levels(draft: BodyDraft, places: Mapping[str, F64], called: Mapping[str, st
 
 
 def _mirrored(draft: BodyDraft, places: Mapping[str, F64], called: Mapping[str, str]) -> Iterator[str]:
-    """Yield a clause if toes, pelvis, thorax and face point backwards by the two sides, or one of them does."""
+    """Yield a clause for each pair of `_fronts` that points backwards, where left, right and up define the front.
+
+    If most pairs point backwards, a single clause says that the sides, or the axes, are mirrored.
+    """
     at = {joint: draft.place(joint) for joint in ("lhip", "rhip", "root", "neck")}
     left, right, root, neck = at["lhip"], at["rhip"], at["root"], at["neck"]
     if left is None or right is None or root is None or neck is None:

@@ -230,7 +230,10 @@ class _Entry:
         return [found.get(camera, 0) for camera in cameras]
 
     def _matched(self, key: str, values: Mapping[str, object], notes: list[str]) -> dict[str, str]:
-        """Return a dict from camera to the value of `{camera}` in its file names; append a note on the matching."""
+        """Return for each camera the name by which its files call it; append a note on the matching, if there is one.
+
+        The name is the text in the place of `{camera}` in a path, or a name inside a file of several cameras.
+        """
         names = [camera.name for camera in self.cameras]
         try:
             pairs, note = match_cameras(self.file.folder, key, names, self.labels, values)
@@ -277,7 +280,10 @@ def recording_files(file: RecordingsFile, name: str, key: str) -> CameraFiles:
 
 
 def _calibration(file: RecordingsFile, name: str, given: CameraRecording) -> Calibration:
-    """Return the calibration, from one file for all cameras or from one for each, named by the value of `{camera}`."""
+    """Return the calibration, from one file for all cameras or from one file for each camera.
+
+    In the second case, the name of a camera is the text in the place of `{camera}` in the path of its file.
+    """
     files = recording_files(file, name, "cameras")
     if not files.each_camera:
         return read_calibration(files.files[""][0], given.size)

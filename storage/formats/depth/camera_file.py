@@ -88,7 +88,10 @@ def _matrix(located: Located, at: tuple[str, ...], content: Mapping[str, Any]) -
 
 
 def _distortion(located: Located, at: tuple[str, ...], content: Mapping[str, Any]) -> F64:
-    """Return distortion coefficients in OpenCV's order; coefficients of other models must be 0."""
+    """Return the distortion coefficients in OpenCV's order; empty if there are none, or if all are 0.
+
+    If the file states a lens model that is not OpenCV's, all must be 0.
+    """
     key = next(
         (key for key in ("coeffs", "distortion", "distortion_coefficients", "dist_coeffs") if key in content), ""
     )
