@@ -251,9 +251,9 @@ def to_metres(
             f"{height / other_m * unit_m:.3g} m high; it is read in {name}, which make it {height:.2f} m high"
         )
         unit_m = other_m
-    elif stated and (height := unlikely_height(positions[:, :, frame:], joints, unit_m)) is not None:
+    elif stated and (unlikely := unlikely_height(positions[:, :, frame:], joints, unit_m)) is not None:
         warnings.append(
-            f"its unit or scale is doubtful: {stated} {unit_m:.6g} m, which makes the body {height:.2f} m high; "
+            f"its unit or scale is doubtful: {stated} {unit_m:.6g} m, which makes the body {unlikely:.2f} m high; "
             "another one is `unit_m` in a skeleton mapping of your own"
         )
     positions *= unit_m
