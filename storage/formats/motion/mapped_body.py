@@ -243,19 +243,21 @@ def to_metres(
                 f"its unit of length is doubtful: in {name} the body is {height:.2f} m high, read so; {instead}; "
                 "state `unit_m` in a skeleton mapping"
             )
-    elif stated and (other := contradicted_unit(positions[:, :, frame:], joints, unit_m)) is not None:
-        name, other_m, height = other
-        unit = f"{other_m:.6g} m (guessed)"
-        warnings.append(
-            f"its unit of length is wrong: {stated} {unit_m:.6g} m, which makes the body "
-            f"{height / other_m * unit_m:.3g} m high; it is read in {name}, which make it {height:.2f} m high"
-        )
-        unit_m = other_m
     elif stated and (unlikely := unlikely_height(positions[:, :, frame:], joints, unit_m)) is not None:
-        warnings.append(
-            f"its unit or scale is doubtful: {stated} {unit_m:.6g} m, which makes the body {unlikely:.2f} m high; "
-            "another one is `unit_m` in a skeleton mapping of your own"
-        )
+        other = contradicted_unit(positions[:, :, frame:], joints, unit_m)
+        if other is None:
+            warnings.append(
+                f"its unit or scale is doubtful: {stated} {unit_m:.6g} m, which makes the body {unlikely:.2f} m high; "
+                "another one is `unit_m` in a skeleton mapping of your own"
+            )
+        else:
+            name, other_m, height = other
+            unit = f"{other_m:.6g} m (guessed)"
+            warnings.append(
+                f"its unit of length is wrong: {stated} {unit_m:.6g} m, which makes the body {unlikely:.3g} m high; it "
+                f"is read in {name}, which make it {height:.2f} m high"
+            )
+            unit_m = other_m
     positions *= unit_m
     return unit
 
