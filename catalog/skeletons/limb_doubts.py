@@ -14,6 +14,10 @@ _LIMBS = (
     ("wrist", "fingers"),
 )  # fmt: skip
 _WIDTHS = (("root", "hip"), ("neck", "shoulder"))
+_BOTH_SIDES = (
+    *(((f"l{a}", f"l{b}"), (f"r{a}", f"r{b}")) for a, b in _LIMBS),
+    *(((a, f"l{b}"), (a, f"r{b}")) for a, b in _WIDTHS),
+)
 _TRUNK = (("root", "neck"), ("neck", "head"))
 _UNEQUAL = {"toes": 1.35, "fingers": 2.0, "hip": 1.5, "shoulder": 1.5}
 """Largest ratios of the lengths on both sides, by the outer joint: skeletons end feet and hands differently."""
@@ -35,15 +39,14 @@ def limb_doubts(positions: F64, joints: tuple[str, ...]) -> list[str]:
     joints : tuple of str
         The names of the J joints.
     """
-    frames = np.linspace(0, positions.shape[2] - 1, min(_MOST_FRAMES, positions.shape[2])).astype(np.int64)
     pairs, ends = _pairs(joints)
-    places = positions[:, :, frames]
+    places = positions[:, :, :: -(-positions.shape[2] // _MOST_FRAMES)]
+    last = places.shape[2] - 1
     with np.errstate(over="ignore", invalid="ignore"):  # Absurd numbers are refused elsewhere.
         apart = places[ends[:, 0]] - places[ends[:, 1]]
         lengths = np.sort(np.sqrt((apart * apart).sum(axis=1)), axis=1)
-        low, middle, high = (lengths[:, round(share * (len(frames) - 1))] for share in (0.05, 0.5, 0.95))
-        ranges = high - low
-    at = {pair: (float(middle[i]), float(ranges[i])) for i, pair in enumerate(pairs)}
+        low, middle, high = (lengths[:, round(share * last)] for share in (0.05, 0.5, 0.95))
+        at = dict(zip(pairs, zip(middle.tolist(), (high - low).tolist(), strict=True), strict=True))
     found = [*_lengths(at), *_exchanged(at)]
     if not found:
         return []
@@ -66,9 +69,7 @@ Distances = dict[tuple[str, str], tuple[float, float]]
 
 def _lengths(at: Distances) -> Iterator[str]:
     """Yield a clause for each limb that has no length, or different lengths on the two sides."""
-    sided = [((f"l{a}", f"l{b}"), (f"r{a}", f"r{b}")) for a, b in _LIMBS]
-    sided += [((a, f"l{b}"), (a, f"r{b}")) for a, b in _WIDTHS]
-    both = {pair: (at[pair[0]][0], at[pair[1]][0]) for pair in sided if set(pair) <= at.keys()}
+    both = {pair: (at[pair[0]][0], at[pair[1]][0]) for pair in _BOTH_SIDES if pair[0] in at and pair[1] in at}
     longest = max((max(pair) for pair in both.values() if pair[0] + pair[1] > 0), default=0.0)
     for (of_left, of_right), (left, right) in both.items():
         if not left + right >= 0:

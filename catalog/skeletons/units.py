@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+import math
+from collections.abc import Iterable, Mapping, Sequence
 from itertools import pairwise
 from pathlib import Path
-
-import numpy as np
 
 from kinedex.ops.arrays import F64
 from kinedex.ops.errors import SourceError
@@ -155,7 +154,8 @@ def body_height(positions: F64, joints: tuple[str, ...]) -> float | None:
     positions : float64 array (J, 3, T)
         Of the named joints; the first frame counts.
     """
-    known = {joint: positions[i, :, 0] for i, joint in enumerate(joints) if np.isfinite(positions[i, :, 0]).all()}
+    first = zip(joints, positions[:, :, 0].tolist(), strict=True)
+    known = {joint: place for joint, place in first if all(map(math.isfinite, place))}
     legs, arms = ([_length(known, limb) for limb in limbs if set(limb) <= known.keys()] for limbs in (_LEGS, _ARMS))
     if not legs and not arms:
         return None
@@ -164,7 +164,6 @@ def body_height(positions: F64, joints: tuple[str, ...]) -> float | None:
     return _UPRIGHT * (leg + (_length(known, trunk) if len(trunk) > 1 else _TRUNK_TO_LEG * leg))
 
 
-def _length(points: Mapping[str, F64], chain: Iterable[str]) -> float:
-    path = [points[joint] for joint in chain]
-    with np.errstate(over="ignore"):  # An invalid number gives an infinite length, which no unit makes human.
-        return float(sum(np.linalg.norm(b - a) for a, b in pairwise(path)))
+def _length(points: Mapping[str, Sequence[float]], chain: Iterable[str]) -> float:
+    """Return the length of a chain of joints; infinite for absurd numbers, which no unit makes human."""
+    return sum(math.dist(a, b) for a, b in pairwise(points[joint] for joint in chain))

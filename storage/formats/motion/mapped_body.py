@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator
 from dataclasses import replace
+from functools import lru_cache
 from pathlib import Path
 from typing import Protocol
 
@@ -285,7 +286,13 @@ def refuse_far(
 
 def is_shipped(fit: Fit) -> bool:
     """Return whether a fit uses a mapping that comes with kinedex, neither recognised nor the user's."""
-    return not fit.recognised and fit.mapping.path.is_relative_to(shipped_configs())
+    return not fit.recognised and _in_configs(fit.mapping.path)
+
+
+@lru_cache(maxsize=64)
+def _in_configs(path: Path) -> bool:
+    """Return whether a file is one of the configurations that come with kinedex."""
+    return path.is_relative_to(shipped_configs())
 
 
 def unit_source(fit: Fit, in_file: bool) -> str:
