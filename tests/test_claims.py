@@ -159,6 +159,15 @@ def test_a_command_that_fails_shows_the_end_of_its_output_and_one_that_is_slow_i
     assert slow.result == "took longer than 0.5 s"
 
 
+def test_targets_do_not_inherit_what_make_was_asked_for(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    makefile = tmp_path / "Makefile"
+    makefile.write_text("all:\n\t@test -z '$(NIGHTLY)'\n")
+    monkeypatch.setenv("MAKEFLAGS", " -- NIGHTLY=1")
+    monkeypatch.setenv("NIGHTLY", "1")
+    (outcome,) = command("x", {"run": f"make -f {makefile}"}, Bench(tmp_path, tmp_path))
+    assert outcome.result == "ok"
+
+
 def test_every_study_has_a_small_form_or_a_reason_for_none() -> None:
     assert set(forms()) == set(studies()), FORMS.name
     assert all(bool(form.run) != bool(form.reason) for form in forms().values())
