@@ -265,6 +265,8 @@ def _read_yaml(path: str | Path, data: bytes) -> MetadataTable:
     if isinstance(content, dict):
         key, entries = "take", [((name,), str(name), values) for name, values in content.items()]
     elif isinstance(content, list) and content and isinstance(content[0], dict):
+        if not content[0]:
+            raise located.error("is empty; expected columns, one of which names the take or its file", 0)
         key = _key_of(list(map(str, content[0])))
         entries = [((number,), "", values) for number, values in enumerate(content)]
     else:

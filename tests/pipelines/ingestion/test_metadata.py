@@ -125,6 +125,11 @@ def test_faults_of_a_table_name_the_line(tmp_path: Path, text: str, message: str
     assert message in str(fault.value)
 
 
+def test_an_empty_entry_at_the_head_of_a_yaml_list_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(KinedexError, match=r"table.yaml:1: \[0\]: is empty; expected columns, one of which names the"):
+        joined(tmp_path, "- {}\n- {take: y, n: 1}\n", ".yaml")
+
+
 def test_a_column_that_every_store_has_is_reported(ingested: tuple[Path, Path], tmp_path: Path) -> None:
     _, source = ingested
     (tmp_path / "t.csv").write_text("take,frames,Actor\nx_al_run,3,zoe\n")
