@@ -28,7 +28,6 @@ from tests.claims.printed import ROOT
 from tests.claims.ways import document, page_ways
 from tests.real_data import SHARED
 
-
 OF_MAKE = ("MAKEFLAGS", "MFLAGS", "MAKEOVERRIDES", "MAKELEVEL", "NIGHTLY", "CLAIMS")
 """Variables by which `make check-claims NIGHTLY=1` would ask every target that it runs for its longest form, too."""
 
