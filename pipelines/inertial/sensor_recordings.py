@@ -30,7 +30,7 @@ from kinedex.storage.formats.imu.recording import (
     read_together,
     session_of,
 )
-from kinedex.storage.formats.motion.sources import readable
+from kinedex.storage.formats.motion.scanned_files import readable
 from kinedex.storage.snapshot.schemas import columns_table, result_schema, result_table
 
 ENDINGS = (".txt", ".csv", ".tsv", ".parquet", ".h5", ".hdf5", ".mvnx")

@@ -18,7 +18,8 @@ from kinedex.pipelines.ingestion.memory_limit import MemoryShare
 from kinedex.pipelines.ingestion.metadata import group_values
 from kinedex.storage.formats.motion.reader import Body, MotionFile, ReadSettings
 from kinedex.storage.formats.motion.reader_table import persons_of, read_body, reader_of
-from kinedex.storage.formats.motion.sources import SourceFile, checksum
+from kinedex.storage.formats.motion.scanned_files import SourceFile
+from kinedex.storage.formats.motion.sources import checksum
 from kinedex.storage.formats.motion.text_blocks import BLOCK
 from kinedex.storage.formats.motion.unpacked_files import unpacked
 from kinedex.storage.formats.source_files import source_bytes

@@ -11,7 +11,7 @@ from datetime import UTC, datetime
 import pyarrow as pa
 
 from kinedex.ops.errors import KinedexError, SourceError
-from kinedex.storage.formats.motion.sources import SourceFile, UnreadableFile, readable
+from kinedex.storage.formats.motion.scanned_files import SourceFile, UnreadableFile, readable
 from kinedex.storage.snapshot.schemas import result_table
 
 MAX_MESSAGES = 10

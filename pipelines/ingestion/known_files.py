@@ -14,7 +14,8 @@ import pyarrow as pa
 
 from kinedex.ops.errors import SourceError
 from kinedex.storage.formats.motion.packed_files import file_exists, split_ending
-from kinedex.storage.formats.motion.sources import SourceFile, checksum
+from kinedex.storage.formats.motion.scanned_files import SourceFile
+from kinedex.storage.formats.motion.sources import checksum
 from kinedex.storage.snapshot.schemas import RECORDED_FORMATS, result_schema
 
 Naming = Literal["stem", "path", "file"]

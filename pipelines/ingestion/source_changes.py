@@ -38,7 +38,8 @@ from kinedex.pipelines.ingestion.known_files import (
 from kinedex.pipelines.ingestion.metadata import EVERYWHERE, NO_PATTERN
 from kinedex.storage.formats.motion.reader import Reader, ReadSettings
 from kinedex.storage.formats.motion.reader_table import persons_of, read_body, readers_by_ending
-from kinedex.storage.formats.motion.sources import Scan, SkippedFile, SourceFile, path_groups
+from kinedex.storage.formats.motion.scanned_files import SkippedFile, SourceFile
+from kinedex.storage.formats.motion.sources import Scan, path_groups
 from kinedex.storage.snapshot.manifest import Manifest
 from kinedex.storage.snapshot.schemas import RECORDED_FORMATS
 from kinedex.storage.store.verification import damaged_frames

@@ -17,7 +17,8 @@ from kinedex.pipelines.ingestion.parameters import IngestParameters, chosen_mapp
 from kinedex.pipelines.ingestion.source_changes import has_recipe, recipe_of, recipes
 from kinedex.pipelines.tracking.recording_runs import command_of_take
 from kinedex.storage.formats.json_text import json_text
-from kinedex.storage.formats.motion.sources import Scan, SourceFile, checksum, path_groups, scan
+from kinedex.storage.formats.motion.scanned_files import SourceFile
+from kinedex.storage.formats.motion.sources import Scan, checksum, path_groups, scan
 from kinedex.storage.repair.quarantine import LostTake
 from kinedex.storage.snapshot.manifest import Manifest, StageRecord
 from kinedex.storage.snapshot.manifest_files import read_version, versions

@@ -36,7 +36,7 @@ from kinedex.storage.formats.motion.positions import PositionsReader, parse_posi
 from kinedex.storage.formats.motion.reader import DEFAULT_SETTINGS, Body, MotionFile, ReadSettings
 from kinedex.storage.formats.motion.reader_table import persons_of, read_body, reader_of
 from kinedex.storage.formats.motion.single_file import chosen_person, motion_ending, skeleton_beside
-from kinedex.storage.formats.motion.sources import skeleton_doubt
+from kinedex.storage.formats.motion.skeleton_files import skeleton_doubt
 from kinedex.storage.formats.motion.unpacked_files import Unpacked, unpacked
 
 SHOWN = 6

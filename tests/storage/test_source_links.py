@@ -9,7 +9,8 @@ from pathlib import Path
 import pytest
 
 from kinedex.ops.errors import SourceError, StoreError
-from kinedex.storage.formats.motion.sources import checksum, readable, scan
+from kinedex.storage.formats.motion.scanned_files import readable
+from kinedex.storage.formats.motion.sources import checksum, scan
 
 pytestmark = pytest.mark.skipif(sys.platform == "win32", reason="links and raw bytes in names")
 

@@ -6,7 +6,8 @@ readers share stands once, by the kind of motion that a file holds:
 
 - channels of a skeleton's joints (`acclaim`, `bvh`): `text_blocks` reads the text, `mapped_body` makes the body;
 - points, such as joints and markers (`c3d`, `positions`, `motive`, `nexus`, `qualisys`, `keypoint_json`,
-  `pickled_keypoints`, `humanml`): `points` makes the body, `position_tables` reads text;
+  `pickled_keypoints`, `humanml`): `points` makes the body, `subjects` tells persons apart, `position_tables` reads
+  text;
 - figures whose nodes move (`fbx`, `gltf`, `mvnx`, `opensim`): `figures` makes the body, `scene_figures` chooses among
   several figures and clips;
 - angles of a body model (`amass`): `body_models` has the body, `numpy_arrays` reads the arrays safely.

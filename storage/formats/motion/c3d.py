@@ -22,15 +22,14 @@ from kinedex.storage.formats.motion.numpy_arrays import MAX_BYTES
 from kinedex.storage.formats.motion.points import (
     FittedPoints,
     Points,
-    bodies_of,
     body_of_points,
     evidence_of,
     points_bytes,
-    points_of_person,
     upright,
 )
 from kinedex.storage.formats.motion.reader import FASTEST_HZ, SLOWEST_HZ, Body, Extent, MotionFile, Reader, ReadSettings
 from kinedex.storage.formats.motion.shared_labels import unique_names
+from kinedex.storage.formats.motion.subjects import bodies_of, points_of_person
 from kinedex.storage.formats.source_files import source_errors
 
 F64 = npt.NDArray[np.float64]

@@ -12,10 +12,11 @@ from kinedex.catalog.keypoint_sets import load_keypoint_set
 from kinedex.ops.errors import SourceError
 from kinedex.storage.formats.motion.amass import AIST_HZ
 from kinedex.storage.formats.motion.numpy_arrays import load_pickle
-from kinedex.storage.formats.motion.points import Points, PointsReader, points_of_person
+from kinedex.storage.formats.motion.points import Points, PointsReader
 from kinedex.storage.formats.motion.position_tables import whole_points
 from kinedex.storage.formats.motion.reader import FASTEST_HZ, MAX_POINTS, SLOWEST_HZ, MotionFile, ReadSettings
 from kinedex.storage.formats.motion.shared_labels import unique_names
+from kinedex.storage.formats.motion.subjects import points_of_person
 from kinedex.storage.formats.source_files import file_size, first_bytes
 
 KEYS = ("keypoints3d_optim", "keypoints3d")

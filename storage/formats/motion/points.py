@@ -6,11 +6,9 @@ Short gaps are filled by linear interpolation; frames in longer gaps are invalid
 from __future__ import annotations
 
 from abc import abstractmethod
-from collections import Counter
-from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import ClassVar, NamedTuple, Self, TypeVar
+from typing import ClassVar, NamedTuple, Self
 
 import numpy as np
 import numpy.typing as npt
@@ -18,9 +16,8 @@ import numpy.typing as npt
 from kinedex.catalog.capture_sessions import BY_SESSION, NO_RATE, OPEN_UP
 from kinedex.catalog.skeletons.body_evidence import SAMPLED_FRAMES, Evidence
 from kinedex.catalog.skeletons.mappings import Format, Mappings
-from kinedex.catalog.skeletons.recognition.landmarks import load_landmarks
 from kinedex.catalog.skeletons.recognition.recognised_tree import joint_positions
-from kinedex.catalog.skeletons.skeleton_fit import Fit, Mix, axes_of_up
+from kinedex.catalog.skeletons.skeleton_fit import Fit, axes_of_up
 from kinedex.ops.body import kinematics
 from kinedex.ops.body.resample import Gap, fill_gaps
 from kinedex.ops.body.up_axis import up_axis
@@ -42,14 +39,13 @@ from kinedex.storage.formats.motion.reader import (
     ReadSettings,
     body_bytes,
 )
+from kinedex.storage.formats.motion.replaced_joints import replaced_joints
 
 F64 = npt.NDArray[np.float64]
 I64 = npt.NDArray[np.int64]
 Mask = npt.NDArray[np.bool_]
 
 _BLOCK_FRAMES = 16_384  # frames at once: some 10 MB of joints
-_COMPARED = 500  # frames in which a joint is compared with where other points would place it
-_BESIDE_M = 0.02  # distance from there that is warned of
 _SPINE = ("chest", "neck", "belly", "head")  # the first known one gives the root's up direction
 
 
@@ -152,7 +148,7 @@ def body_of_points(
     evidence = list(recognition_evidence(fit))
     unit = to_metres(path, positions, points.unit_m or fit.mapping.unit_m, joints, warnings, evidence, first, stated)
     refuse_far(path, positions, joints, fit.unknown, valid)
-    warnings += _replaced(points, fit, positions, joints, float(unit.split()[0]))
+    warnings += replaced_joints(points.positions, fit, positions, joints, float(unit.split()[0]))
     return Body(
         positions=positions,
         orientation=root_orientation(positions, joints, valid, warnings),
@@ -207,63 +203,6 @@ def _placed(points: F64, fit: Fit, joints: tuple[str, ...]) -> F64:
         stop = start + _BLOCK_FRAMES
         positions[:, :, start:stop] = fit.apply(points[:, :, start:stop], joints)
     return positions
-
-
-def _replaced(points: Points, fit: Fit, positions: F64, joints: tuple[str, ...], unit_m: float) -> list[str]:
-    """Return a warning on joints that, where their points are hidden, are placed by others at a distance from there.
-
-    Parameters
-    ----------
-    points : Points
-        The points, whose short gaps are filled.
-    fit : Fit
-        The skeleton mapping.
-    positions : float64 array (J, 3, T)
-        The joints in metres.
-    joints : tuple of str
-        The names of the J joints.
-    unit_m : float
-        Metres of the points' unit.
-    """
-    found = []
-    for joint, others in fit.instead.items():
-        first = fit.joints[joint]
-        if first is None or first.of_joints:
-            continue
-        lost = np.isnan(points.positions[[fit.indices[name] for name in first.names]]).any(axis=(0, 1))
-        if not lost.any():
-            continue
-        seen = np.flatnonzero(~lost)[:: max(1, np.count_nonzero(~lost) // _COMPARED)]
-        frames, far = 0, 0.0
-        for other in others:
-            there = lost & ~np.isnan(_other_points(points, fit, positions, joints, other)).any(axis=(0, 1))
-            away = _moved(points, fit, positions, joints, joint, other, seen, unit_m)
-            if there.any() and away > _BESIDE_M:
-                frames, far = frames + int(np.count_nonzero(there)), max(far, away)
-            lost &= ~there
-        if frames:
-            found.append(f"{joint} in {frames} frames (by {100 * far:.0f} cm)")
-    text = "where their points are hidden, joints are placed by others, beside where they would be"
-    return [f"{text}: {', '.join(found)}"] if found else []
-
-
-def _other_points(points: Points, fit: Fit, positions: F64, joints: tuple[str, ...], mix: Mix) -> F64:
-    """Return the points, or the joints, that a mix combines (n, 3, T)."""
-    if mix.of_joints:
-        return positions[[joints.index(name) for name in mix.names]]
-    return points.positions[[fit.indices[name] for name in mix.names]]
-
-
-def _moved(
-    points: Points, fit: Fit, positions: F64, joints: tuple[str, ...], joint: str, mix: Mix, frames: I64, unit_m: float
-) -> float:
-    """Return how far a mix is from its joint in nine of ten frames where both are seen, in metres; 0 without any."""
-    parts = _other_points(points, fit, positions, joints, mix)[:, :, frames]
-    axes, scale = (np.eye(3), 1.0) if mix.of_joints else (fit.mapping.axes, unit_m)
-    placed = scale * axes @ mix.apply(dict(zip(mix.names, parts, strict=True)), float(np.sign(np.linalg.det(axes))))
-    away = np.linalg.norm(placed - positions[joints.index(joint)][:, frames], axis=0)
-    away = away[np.isfinite(away)]
-    return float(np.percentile(away, 90)) if len(away) else 0.0
 
 
 def _invalid(
@@ -340,14 +279,8 @@ def root_orientation(positions: F64, joints: tuple[str, ...], valid: Mask, warni
     return orientation
 
 
-MIN_LANDMARKS = 8
-"""The smallest number of known labels of a subject that counts as a person."""
-
 SURE_UP = 0.75
 """The confidence from which a body is rotated upright, or the file's up axis is doubted."""
-
-MIN_POINTS = 10
-"""The smallest number of points of a person; a subject with fewer is an object, such as a box or a racket."""
 
 
 class FittedPoints(NamedTuple):
@@ -479,99 +412,3 @@ def upright(fit: Fit, evidence: Evidence, warnings: list[str], session_up: str =
         return fit
     reasons = (*fit.reasons, f"{judged.axis} is up: " + "; ".join(judged.reasons))
     return replace(fit, mapping=replace(fit.mapping, axes=axes_of_up(judged.axis)), reasons=reasons)
-
-
-def bodies_of(labels: Sequence[str]) -> list[str]:
-    """Return the subjects of labels such as `Ann:LKNE` that have the landmarks of a body."""
-    landmarks, of = load_landmarks(), subjects(labels)
-    many = [name for name in persons_of(labels) if landmarks.read([labels[i] for i in of[name]]).known >= MIN_LANDMARKS]
-    return many if len(many) > 1 else []
-
-
-AnyPoints = TypeVar("AnyPoints", bound=Points)
-
-
-def points_of_person(points: AnyPoints, person: str) -> AnyPoints:
-    """Return the points of one subject of a file, or all if no person is chosen.
-
-    Raises
-    ------
-    SourceError
-        There is no such subject, or there are several and none is chosen.
-    """
-    of = subjects(points.names)
-    if not person:
-        bodies = bodies_of(points.names)
-        if bodies:
-            raise SourceError(
-                points.path,
-                f"holds the markers of {len(bodies)} persons, {', '.join(bodies)}; ingest makes a take of each",
-            )
-        return points
-    if person not in of:
-        raise SourceError(points.path, f"has no subject '{person}'; its subjects are {', '.join(filter(None, of))}")
-    names = tuple(points.names[i] for i in of[person])
-    return replace(points, names=names, positions=points.positions[of[person]])
-
-
-def subjects(labels: Sequence[str]) -> dict[str, list[int]]:
-    """Return a dict from subject to label indices; `Ann:LFHD` has subject `Ann`, labels without a prefix ""."""
-    found: dict[str, list[int]] = {}
-    for i, label in enumerate(labels):
-        found.setdefault(label.rpartition(":")[0], []).append(i)
-    return found
-
-
-def persons_of(labels: Sequence[str]) -> tuple[str, ...]:
-    """Return the subjects with enough points for a person if there are several; else nothing."""
-    found = [name for name, positions in subjects(labels).items() if name and len(positions) >= MIN_POINTS]
-    return tuple(found) if len(found) > 1 else ()
-
-
-def labels_of_person(
-    path: Path, labels: Sequence[str], person: str, warnings: list[str]
-) -> tuple[list[int], tuple[str, ...]]:
-    """Return the labels of one person: of the chosen subject, or else of the only possible person.
-
-    Parameters
-    ----------
-    path : Path
-        The file, for errors.
-    labels : sequence of str
-        All labels of a file.
-    person : str
-        The chosen subject; empty for a file of one person.
-    warnings : list of str
-        Sentences are appended on subjects and labels that are not used.
-
-    Returns
-    -------
-    places : list of int
-        Indices of the labels that are used.
-    names : tuple of str
-        Their names without the subject.
-
-    Raises
-    ------
-    SourceError
-        There are several persons, and none is chosen.
-    """
-    of = subjects(labels)
-    bodies = bodies_of(labels)
-    if bodies and person not in of:
-        raise SourceError(path, f"holds {len(bodies)} persons, {', '.join(bodies)}; ingest makes a take of each")
-    whole = [name for name, positions in of.items() if name and len(positions) >= MIN_POINTS]
-    if len(whole) > 1:
-        known = load_landmarks()
-        whole = [name for name in whole if known.read([labels[i] for i in of[name]]).known >= MIN_LANDMARKS] or whole
-    chosen = person if person in of else whole[0] if len(whole) == 1 else None
-    positions = list(range(len(labels))) if chosen is None else of[chosen]
-    short = [labels[i] if chosen is None else labels[i].rpartition(":")[2] for i in positions]
-    others = [name for name in of if name and name != chosen and name not in bodies]
-    if chosen is not None and others:
-        warnings.append(f"points of {', '.join(others[:6])} are not used: they are none of a person's")
-    twice = sorted(name for name, count in Counter(short).items() if count > 1)
-    if twice:
-        warnings.append(f"{', '.join(twice[:6])} stand for several points each, and are not used")
-    kept = [(i, name) for i, name in zip(positions, short, strict=True) if name not in twice]
-    return [i for i, _ in kept], tuple(name for _, name in kept)

@@ -16,8 +16,9 @@ import numpy.typing as npt
 from kinedex.catalog.skeletons.mappings import Mappings
 from kinedex.ops.errors import SourceError
 from kinedex.storage.formats.csv_tables import csv_cells
-from kinedex.storage.formats.motion.points import PointsReader, bodies_of, labels_of_person
+from kinedex.storage.formats.motion.points import PointsReader
 from kinedex.storage.formats.motion.reader import MotionFile
+from kinedex.storage.formats.motion.subjects import bodies_of, labels_of_person
 from kinedex.storage.formats.motion.text_blocks import BLOCK, LONGEST
 from kinedex.storage.formats.source_files import file_size, part_of, source_bytes, source_errors, text_of
 

@@ -18,13 +18,7 @@ from kinedex.catalog.skeletons.recognition.points import recognise_points
 from kinedex.ops.errors import SourceError, did_you_mean
 from kinedex.storage.formats.csv_tables import csv_cells
 from kinedex.storage.formats.motion.numpy_arrays import array_shapes, load_array, load_arrays
-from kinedex.storage.formats.motion.points import (
-    Points,
-    PointsReader,
-    bodies_of,
-    evidence_of,
-    points_of_person,
-)
+from kinedex.storage.formats.motion.points import Points, PointsReader, evidence_of
 from kinedex.storage.formats.motion.position_tables import Lines, Table, whole_points
 from kinedex.storage.formats.motion.reader import (
     FASTEST_HZ,
@@ -35,6 +29,7 @@ from kinedex.storage.formats.motion.reader import (
     ReadSettings,
 )
 from kinedex.storage.formats.motion.shared_labels import unique_names
+from kinedex.storage.formats.motion.subjects import bodies_of, points_of_person
 from kinedex.storage.formats.source_files import any_text, as_number, part_of
 
 F64 = npt.NDArray[np.float64]

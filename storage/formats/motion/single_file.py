@@ -9,7 +9,9 @@ from kinedex.ops.errors import KinedexError, SourceError, did_you_mean
 from kinedex.storage.formats.motion.packed_files import archive, file_exists, files_in, split_ending
 from kinedex.storage.formats.motion.reader import MotionFile
 from kinedex.storage.formats.motion.reader_table import is_known_by_ending, motion_endings, persons_of
-from kinedex.storage.formats.motion.sources import UNREAD, SourceFile, skeleton_of
+from kinedex.storage.formats.motion.scanned_files import SourceFile
+from kinedex.storage.formats.motion.skeleton_files import skeleton_of
+from kinedex.storage.formats.motion.sources import UNREAD
 from kinedex.storage.formats.motion.unpacked_files import unpacked
 
 ABOVE = 3

@@ -6,11 +6,9 @@ import hashlib
 import os
 import re
 import stat
-import sys
 from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field, fields
-from fnmatch import fnmatchcase
+from dataclasses import dataclass, fields
 from functools import cached_property
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -25,6 +23,14 @@ from kinedex.storage.formats.motion.packed_files import (
     split_ending,
 )
 from kinedex.storage.formats.motion.reader_table import is_known_by_ending, is_motion_file, motion_endings
+from kinedex.storage.formats.motion.scanned_files import SkippedFile, SourceFile, UnreadableFile, readable
+from kinedex.storage.formats.motion.skeleton_files import (
+    SkeletonFolder,
+    given_skeleton,
+    nearest_skeleton,
+    skeleton_doubt,
+    skeletons_by_folder,
+)
 from kinedex.storage.formats.motion.text_blocks import BLOCK
 from kinedex.storage.formats.motion.unpacked_files import is_utf16, recognised
 
@@ -86,73 +92,6 @@ SIDECARS = (".yaml", ".yml")
 _MAX_ENDINGS = 6
 
 
-def readable(text: str) -> str:
-    r"""Return a text in which bytes of a file name that are not UTF-8 (surrogates in Python) are shown as \xNN."""
-    return text.encode("utf-8", sys.getfilesystemencodeerrors()).decode("utf-8", "backslashreplace")
-
-
-@dataclass(frozen=True)
-class SourceFile:
-    r"""One motion file of an archive.
-
-    Attributes
-    ----------
-    root : str
-        The source root.
-    path : str
-        Path relative to the root, with /, as valid Unicode: bytes that are not UTF-8 are shown as \xNN. A file in an
-        archive has that as a folder: archive.zip/walk.bvh.
-    size : int
-        Size in bytes, unpacked.
-    mtime_ns : int
-        Time of the last change of the file or of its archive, in nanoseconds since 1970.
-    on_disk : str
-        The path as the file system has it, if `path` differs.
-    """
-
-    root: str
-    path: str
-    size: int
-    mtime_ns: int
-    on_disk: str = ""
-
-    @property
-    def absolute(self) -> Path:
-        """The absolute path of the file."""
-        return Path(self.root) / (self.on_disk or self.path)
-
-    @property
-    def stem(self) -> str:
-        """The file's name without folder and extension, which is the take's name."""
-        return split_ending(os.path.basename(self.path))[0]
-
-    @property
-    def format(self) -> str:
-        """The file's extension in lower case, without the dot, such as "amc", also of walk.amc.gz."""
-        return split_ending(self.path)[1][1:].lower()
-
-
-@dataclass(frozen=True)
-class UnreadableFile:
-    """A file or folder of an archive that cannot be read: its path relative to the source root, and the reason."""
-
-    path: str
-    fault: SourceError
-
-
-@dataclass(frozen=True)
-class SkippedFile:
-    """A file of an archive that is not motion: its path relative to the source root, and its kind in the plural."""
-
-    path: str
-    kind: str
-
-    @property
-    def ending(self) -> str:
-        """The file's extension in lower case, with the dot."""
-        return os.path.splitext(self.path)[1].lower()
-
-
 @dataclass(frozen=True)
 class Scan:
     """The content of a source root: every file is in one of the tuples, each sorted by path.
@@ -191,12 +130,12 @@ class Scan:
         return any(path == refused.path or path.startswith(f"{refused.path}/") for refused in self.refused)
 
     @cached_property
-    def _skeletons_in(self) -> dict[str, _Folder]:
-        return _by_folder(self.skeletons)
+    def _skeletons_in(self) -> dict[str, SkeletonFolder]:
+        return skeletons_by_folder(self.skeletons)
 
     def skeleton_of(self, motion: SourceFile) -> SourceFile:
-        """Return the skeleton file that belongs to a motion file, as the function `skeleton_of` of this module does."""
-        return _nearest(motion, self._skeletons_in)
+        """Return the skeleton file that belongs to a motion file, as the function `skeleton_of` does."""
+        return nearest_skeleton(motion, self._skeletons_in)
 
     def chosen_skeleton(self, motion: SourceFile, given: Mapping[str, str]) -> tuple[SourceFile, tuple[str, ...]]:
         """Return the skeleton file of a motion file, and a warning if only the lack of others speaks for it.
@@ -431,165 +370,6 @@ def checksum(path: Path) -> str:
             return hashlib.file_digest(file, "sha256").hexdigest()
     except OSError as fault:
         raise SourceError(readable(str(path)), f"cannot be read: {fault.strerror}") from fault
-
-
-def skeleton_of(motion: SourceFile, skeletons: Iterable[SourceFile]) -> SourceFile:
-    """Return the skeleton file that belongs to a motion file.
-
-    It has the name of the motion file, or a name whose parts all begin the motion's: `01.asf` is the skeleton of
-    `01_14.amc`, and `01_1.asf` is not. Of several the one with the most parts counts. Without such a file, the only
-    skeleton file of a folder counts if its name consists of words such as "skeleton" or "actor", or names the folder;
-    `skeleton_doubt` says so. The motion's folder comes first, then the folders above, up to the source root. Letter
-    case does not count.
-
-    Parameters
-    ----------
-    motion : SourceFile
-        The motion file.
-    skeletons : iterable of SourceFile
-        All skeleton files.
-
-    Raises
-    ------
-    SourceError
-        No file fits, or several do; the message names the candidates.
-    """
-    return _nearest(motion, _by_folder(skeletons))
-
-
-def given_skeleton(motion: SourceFile, skeletons: Iterable[SourceFile], given: Mapping[str, str]) -> SourceFile | None:
-    """Return the skeleton file that settings give a motion file, or None if they give it none.
-
-    Parameters
-    ----------
-    motion : SourceFile
-        The motion file.
-    skeletons : iterable of SourceFile
-        All skeleton files.
-    given : mapping of str to str
-        Pattern with * and ? → path of a skeleton file; both below the source, or names of files. The first pattern that
-        the motion's path or name matches counts.
-
-    Raises
-    ------
-    SourceError
-        There is no such skeleton file, or there are several of this name.
-    """
-    name = os.path.basename(motion.path)
-    wanted = next((to for one, to in given.items() if fnmatchcase(motion.path, one) or fnmatchcase(name, one)), None)
-    if wanted is None:
-        return None
-    skeletons = list(skeletons)
-    found = [file for file in skeletons if file.path == wanted]
-    found = found or [file for file in skeletons if os.path.basename(file.path) == wanted]
-    if len(found) != 1:
-        those = ", ".join(file.path for file in found or skeletons) or "none"
-        many = "several skeletons have this name" if found else "the source has no such skeleton"
-        raise SourceError(motion.absolute, f"`skeleton_files` gives it '{wanted}', but {many}: it has {those}")
-    return found[0]
-
-
-def skeleton_doubt(motion: Path, skeleton: Path) -> str | None:
-    """Return a warning if the name of a motion file does not confirm its skeleton file; None if it does."""
-    if _begins(*(_name_parts(split_ending(file.name)[0]) for file in (motion, skeleton))):
-        return None
-    return (
-        f"its skeleton {skeleton.name} is taken because there is no other, its name does not say so: if these are the "
-        "bones of somebody else, give the right ones by `skeleton_files`"
-    )
-
-
-@dataclass
-class _Folder:
-    """The skeleton files of one folder, also by the parts of their names."""
-
-    files: list[SourceFile] = field(default_factory=list)
-    of_parts: dict[tuple[str, ...], list[SourceFile]] = field(default_factory=dict)
-
-
-def _by_folder(skeletons: Iterable[SourceFile]) -> dict[str, _Folder]:
-    folders: dict[str, _Folder] = {}
-    for skeleton in skeletons:
-        folder = folders.setdefault(os.path.dirname(skeleton.path), _Folder())
-        folder.files.append(skeleton)
-        folder.of_parts.setdefault(_name_parts(skeleton.stem), []).append(skeleton)
-    return folders
-
-
-_NAME_PART = re.compile(r"[^\W\d_]+|\d+")
-_CAMEL = re.compile(r"(?<=[a-z])(?=[A-Z])")
-_ANY_SUBJECT = frozenset(
-    "actor asf base body bone bones character default figure human model motion person performer rig skel skeleton "
-    "skeletons subject template".split()
-)
-
-
-def _name_parts(stem: str) -> tuple[str, ...]:
-    """Return the words and numbers of a name in lower case: bd, walk and 01 of `bdWalk_01`."""
-    return tuple(part.casefold() for part in _NAME_PART.findall(_CAMEL.sub(" ", stem))) or (stem.casefold(),)
-
-
-def _begins(motion: tuple[str, ...], skeleton: tuple[str, ...]) -> bool:
-    return motion[: len(skeleton)] == skeleton
-
-
-def _nearest(motion: SourceFile, folders: Mapping[str, _Folder]) -> SourceFile:
-    """Find a skeleton by the rule of `skeleton_of`, first by the motion's own name."""
-    at = os.path.dirname(motion.path)
-    seen: list[str] = []
-    while True:
-        here = folders.get(at, _NO_SKELETONS)
-        best = _namesakes(motion, here) or _only_one(motion, here, at)
-        if len(best) == 1:
-            return best[0]
-        if best:
-            names = ", ".join(s.path for s in best)
-            raise SourceError(motion.absolute, f"several skeletons fit its name equally well: {names}; rename one")
-        seen += [skeleton.path for skeleton in here.files]
-        if not at:
-            break
-        at = os.path.dirname(at)
-    example = re.split(r"[-_. ]", motion.stem)[0] or motion.stem
-    above = " or in a folder above" if os.path.dirname(motion.path) else ""
-    found, way_out = "found none in its folder nor above, up to the source root", ""
-    if seen:
-        more = f" and {len(seen) - _MAX_SEEN} more" if len(seen) > _MAX_SEEN else ""
-        found = f"found only {', '.join(seen[:_MAX_SEEN])}{more}"
-        name = os.path.basename(motion.path)
-        way_out = (
-            f', or if it is one of these, name it: `--set \'ingest.skeleton_files={{"{name}": "{seen[0]}"}}\'` of '
-            "kinedex run, where * and ? stand for any characters"
-        )
-    raise SourceError(
-        motion.absolute,
-        f"no ASF skeleton whose whole name begins '{motion.stem}': {found}; put e.g. '{example}.asf' beside it"
-        f"{above}{way_out}",
-    )
-
-
-_NO_SKELETONS = _Folder()
-_MAX_SEEN = 6  # most candidates that an error names
-
-
-def _namesakes(motion: SourceFile, folder: _Folder) -> list[SourceFile]:
-    """Return the skeletons of a folder whose whole name begins that of a motion, those with the most parts."""
-    parts = _name_parts(motion.stem)
-    for count in range(len(parts), 0, -1):
-        if (found := folder.of_parts.get(parts[:count])) is not None:
-            stem = motion.stem.casefold()
-            return [file for file in found if file.stem.casefold() == stem] or found
-    return []
-
-
-def _only_one(motion: SourceFile, folder: _Folder, path: str) -> list[SourceFile]:
-    """Return the only skeleton of a folder if its name is that of the folder, or of no subject; else an empty list."""
-    if len(folder.files) != 1:
-        return []
-    own, named = _name_parts(motion.stem), _name_parts(folder.files[0].stem)
-    if _ANY_SUBJECT.issuperset(named):
-        return folder.files
-    other_number = own[0].isdigit() and named[0].isdigit()  # 02_05.amc in the folder 01 may be of subject 02
-    return folder.files if path and named == _name_parts(os.path.basename(path)) and not other_number else []
 
 
 def shared_prefix(a: str, b: str) -> int:

@@ -18,7 +18,8 @@ from kinedex.ops.synth.performance import MOTIONS
 from kinedex.pipelines.simulation.synthetic_archive import ArchiveSummary, write_archive
 from kinedex.storage.formats.motion.acclaim import AmcFile
 from kinedex.storage.formats.motion.asf import read_asf
-from kinedex.storage.formats.motion.sources import scan, skeleton_of
+from kinedex.storage.formats.motion.skeleton_files import skeleton_of
+from kinedex.storage.formats.motion.sources import scan
 from studies.synthetic_motion import HDM05, HDM05_FRAMES, SETS, figures, within, words_of
 
 

@@ -8,14 +8,9 @@ from pathlib import Path
 import pytest
 
 from kinedex.ops.errors import SourceError, StoreError
-from kinedex.storage.formats.motion.sources import (
-    SourceFile,
-    given_skeleton,
-    path_groups,
-    scan,
-    skeleton_doubt,
-    skeleton_of,
-)
+from kinedex.storage.formats.motion.scanned_files import SourceFile
+from kinedex.storage.formats.motion.skeleton_files import given_skeleton, skeleton_doubt, skeleton_of
+from kinedex.storage.formats.motion.sources import path_groups, scan
 
 
 def files(*paths: str) -> list[SourceFile]:

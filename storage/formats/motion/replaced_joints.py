@@ -1,0 +1,71 @@
+"""Warn of joints that other points place where their own are hidden, beside where they would be."""
+
+from __future__ import annotations
+
+import numpy as np
+import numpy.typing as npt
+
+from kinedex.catalog.skeletons.skeleton_fit import Fit, Mix
+
+F64 = npt.NDArray[np.float64]
+I64 = npt.NDArray[np.int64]
+
+_COMPARED = 500  # frames in which a joint is compared with where other points would place it
+_BESIDE_M = 0.02  # distance from there that is warned of
+
+
+def replaced_joints(points: F64, fit: Fit, positions: F64, joints: tuple[str, ...], unit_m: float) -> list[str]:
+    """Return a warning on joints that, where their points are hidden, are placed by others at a distance from there.
+
+    Parameters
+    ----------
+    points : float64 array (N, 3, T)
+        The points, whose short gaps are filled.
+    fit : Fit
+        The skeleton mapping.
+    positions : float64 array (J, 3, T)
+        The joints in metres.
+    joints : tuple of str
+        The names of the J joints.
+    unit_m : float
+        Metres of the points' unit.
+    """
+    found = []
+    for joint, others in fit.instead.items():
+        first = fit.joints[joint]
+        if first is None or first.of_joints:
+            continue
+        lost = np.isnan(points[[fit.indices[name] for name in first.names]]).any(axis=(0, 1))
+        if not lost.any():
+            continue
+        seen = np.flatnonzero(~lost)[:: max(1, np.count_nonzero(~lost) // _COMPARED)]
+        frames, far = 0, 0.0
+        for other in others:
+            there = lost & ~np.isnan(_other_points(points, fit, positions, joints, other)).any(axis=(0, 1))
+            away = _moved(points, fit, positions, joints, joint, other, seen, unit_m)
+            if there.any() and away > _BESIDE_M:
+                frames, far = frames + int(np.count_nonzero(there)), max(far, away)
+            lost &= ~there
+        if frames:
+            found.append(f"{joint} in {frames} frames (by {100 * far:.0f} cm)")
+    text = "where their points are hidden, joints are placed by others, beside where they would be"
+    return [f"{text}: {', '.join(found)}"] if found else []
+
+
+def _other_points(points: F64, fit: Fit, positions: F64, joints: tuple[str, ...], mix: Mix) -> F64:
+    """Return the points, or the joints, that a mix combines (n, 3, T)."""
+    if mix.of_joints:
+        return positions[[joints.index(name) for name in mix.names]]
+    return points[[fit.indices[name] for name in mix.names]]
+
+
+def _moved(
+    points: F64, fit: Fit, positions: F64, joints: tuple[str, ...], joint: str, mix: Mix, frames: I64, unit_m: float
+) -> float:
+    """Return how far a mix is from its joint in nine of ten frames where both are seen, in metres; 0 without any."""
+    parts = _other_points(points, fit, positions, joints, mix)[:, :, frames]
+    axes, scale = (np.eye(3), 1.0) if mix.of_joints else (fit.mapping.axes, unit_m)
+    placed = scale * axes @ mix.apply(dict(zip(mix.names, parts, strict=True)), float(np.sign(np.linalg.det(axes))))
+    away = np.linalg.norm(placed - positions[joints.index(joint)][:, frames], axis=0)
+    away = away[np.isfinite(away)]
+    return float(np.percentile(away, 90)) if len(away) else 0.0
