@@ -22,6 +22,13 @@ RARE_UNITS_M = {"dm (MakeHuman)": 0.1}
 FEET_M = {"feet": 0.3048}
 """The unit that is tried last: a giant in metres has as many units as a child in feet."""
 
+STATED_UNITS_M = {
+    "m": 1.0, "cm": 0.01, "mm": 0.001, "in": 0.0254, "dm": 0.1, "ft": 0.3048, "meters": 1.0, "metres": 1.0,
+    "decimeters": 0.1, "decimetres": 0.1, "centimeters": 0.01, "centimetres": 0.01, "millimeters": 0.001,
+    "millimetres": 0.001, "inches": 0.0254, "feet": 0.3048,
+}  # fmt: skip
+"""A dict from word with which files state their unit of length, in lower case, to its metres."""
+
 ADULT_M = 1.242
 """The least height by which a common unit goes before decimetres.
 

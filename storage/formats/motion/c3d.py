@@ -15,6 +15,7 @@ import numpy as np
 import numpy.typing as npt
 
 from kinedex.catalog.skeletons.mappings import Format, Mappings
+from kinedex.catalog.skeletons.units import STATED_UNITS_M
 from kinedex.ops.errors import SourceError
 from kinedex.storage.formats.motion.c3d_layout import DEC, Layout, order_of, read_layout, real
 from kinedex.storage.formats.motion.mapped_body import recognition_warnings
@@ -35,11 +36,6 @@ from kinedex.storage.formats.source_files import source_errors
 F64 = npt.NDArray[np.float64]
 
 _BLOCK_NUMBERS = 4_000_000  # numbers of the frames decoded at once: some 50 MB
-_UNITS_M = {
-    "m": 1.0, "cm": 0.01, "mm": 0.001, "in": 0.0254, "dm": 0.1, "ft": 0.3048, "meters": 1.0, "metres": 1.0,
-    "decimeters": 0.1, "decimetres": 0.1, "centimeters": 0.01, "centimetres": 0.01, "millimeters": 0.001,
-    "millimetres": 0.001, "inches": 0.0254, "feet": 0.3048,
-}  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -162,9 +158,9 @@ def _unit_m(layout: Layout, warnings: list[str]) -> float | None:
     units = [unit.lower() for unit in _texts(layout, "UNITS") if unit]
     if not units:
         return None
-    if units[0] not in _UNITS_M:
-        warnings.append(f"its unit {units[0]!r} is none of {', '.join(_UNITS_M)}")
-    return _UNITS_M.get(units[0])
+    if units[0] not in STATED_UNITS_M:
+        warnings.append(f"its unit {units[0]!r} is none of {', '.join(STATED_UNITS_M)}")
+    return STATED_UNITS_M.get(units[0])
 
 
 def _up(layout: Layout, warnings: list[str]) -> str | None:

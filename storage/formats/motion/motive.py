@@ -7,6 +7,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import ClassVar
 
+from kinedex.catalog.skeletons.units import STATED_UNITS_M
 from kinedex.ops.errors import SourceError
 from kinedex.storage.formats.csv_tables import csv_cells
 from kinedex.storage.formats.motion.points import Points
@@ -15,7 +16,6 @@ from kinedex.storage.formats.motion.reader import FASTEST_HZ, MAX_POINTS, SLOWES
 from kinedex.storage.formats.source_files import beginning
 
 _HEADER_LINES = 16  # lines: the first one, some empty ones, and up to six rows that describe the columns
-_UNITS_M = {"meters": 1.0, "centimeters": 0.01, "millimeters": 0.001}
 _UNLABELED = re.compile(r"unlabell?ed\b", re.IGNORECASE)
 _KINDS = ("Bone", "Marker", "Bone Marker", "Rigid Body Marker")
 """The types of columns whose positions are points; the first type that a file has is used."""
@@ -52,12 +52,12 @@ class MotiveReader(TableReader):
                 path, f"positions are in the space {stated['Coordinate Space']!r}, in which bones lie on each other: "
                 "export it again with Coordinate Space: Global", line=1,
             )  # fmt: skip
+        if table.unit_m is None and stated.get("Length Units"):
+            warnings.append(f"Length Units is none of {', '.join(STATED_UNITS_M)}, but {stated['Length Units']!r}")
         names, positions = table.read(file.person, warnings)
         if table.kind != "Bone":
             warnings.append(f"it holds no bones; the body is that of its points of type {table.kind}")
-        return Points(
-            str(path), names, positions, _rate(path, stated), unit_m=_unit(path, stated), warnings=warnings
-        )  # fmt: skip
+        return Points(str(path), names, positions, _rate(path, stated), unit_m=table.unit_m, warnings=warnings)
 
 
 def _table(path: Path) -> _Table:
@@ -90,7 +90,8 @@ def _table(path: Path) -> _Table:
     columns = tuple((at["X"], at["Y"], at["Z"]) for _, at in points[used])
     texts = tuple(i for i, axis in enumerate(axes) if axis.lower().startswith("timecode"))
     labels = tuple(name for name, _ in points[used])
-    return _Table(path, labels, tuple(axes), columns, last + 1, texts=texts, kind=used, stated=stated)
+    unit_m = STATED_UNITS_M.get(stated.get("Length Units", "").lower())  # older files state none
+    return _Table(path, labels, tuple(axes), columns, last + 1, texts=texts, unit_m=unit_m, kind=used, stated=stated)
 
 
 def _described(path: Path, rows: list[list[str]]) -> tuple[list[str], list[str], list[str]]:
@@ -111,11 +112,3 @@ def _rate(path: Path, stated: dict[str, str]) -> float:
     if not SLOWEST_HZ <= rate_hz <= FASTEST_HZ:
         raise SourceError(path, f"{key} must be {SLOWEST_HZ:g} to {FASTEST_HZ:g} Hz, got {stated[key]}", line=1)
     return rate_hz
-
-
-def _unit(path: Path, stated: dict[str, str]) -> float | None:
-    """Return the metres per unit; None for older files, which do not state it."""
-    unit = stated.get("Length Units")
-    if unit and unit.lower() not in _UNITS_M:
-        raise SourceError(path, f"Length Units must be one of {', '.join(_UNITS_M)}, got {unit!r}", line=1)
-    return _UNITS_M[unit.lower()] if unit else None

@@ -9,13 +9,14 @@ from itertools import pairwise
 from pathlib import Path
 from typing import ClassVar
 
+from kinedex.catalog.skeletons.units import STATED_UNITS_M
 from kinedex.ops.errors import SourceError
 from kinedex.storage.formats.csv_tables import csv_cells
 from kinedex.storage.formats.motion.points import Points
 from kinedex.storage.formats.motion.position_tables import PointTable, TableReader, parse_number
 from kinedex.storage.formats.motion.reader import FASTEST_HZ, MAX_POINTS, SLOWEST_HZ, MotionFile, ReadSettings
 from kinedex.storage.formats.motion.text_blocks import after_last_line, blocks
-from kinedex.storage.formats.source_files import beginning, text_of
+from kinedex.storage.formats.source_files import as_number, beginning, text_of
 
 _TITLES = ("trajectories", "model outputs", "segments", "joints", "devices", "events")
 _USED = ("trajectories", "model outputs", "segments")
@@ -23,7 +24,6 @@ _USED = ("trajectories", "model outputs", "segments")
 
 _FIRST_CELLS = ("frame", "field #", "field")
 _START = re.compile(rf'(?im)^"?({"|".join(_TITLES)})"?[,\s]*?\r?\n"?\d+(\.\d+)?"?(,|\r?\n)')
-_UNITS_M = {"mm": 0.001, "cm": 0.01, "m": 1.0}
 _OTHER = re.compile(r"(Angles?|Force|Moment|Power|GRF)\d?$")
 _AXES = (("X", "Y", "Z"), ("TX", "TY", "TZ"))
 """The axis names of points, and of the origins of segments, whose names end in O as in C3D files."""
@@ -31,11 +31,10 @@ _AXES = (("X", "Y", "Z"), ("TX", "TY", "TZ"))
 
 @dataclass(frozen=True)
 class _Table(PointTable):
-    """A section with positions: its title, its rate, and the metres per unit."""
+    """A section with positions: its title and its rate."""
 
     title: str = ""
     rate_hz: float = 0.0
-    unit_m: float | None = None
 
 
 class NexusReader(TableReader):
@@ -80,7 +79,7 @@ def _table(path: Path) -> _Table:
         raise SourceError(path, f"expected a rate of {SLOWEST_HZ:g} to {FASTEST_HZ:g} Hz, got {rate_hz:g}", line=start)
     if len(rows) < 4 or not rows[3] or rows[3][0].lower() not in _FIRST_CELLS:
         raise SourceError(path, "expected a line of labels and one that begins with 'Frame'", line=min(start + 3, stop))
-    has_units = len(rows) > 4 and any(cell in _UNITS_M or cell == "deg" for cell in rows[4])
+    has_units = len(rows) > 4 and any(cell and as_number(cell) is None for cell in rows[4])
     labels, columns, unit_m = _points(path, rows[2], rows[3], rows[4] if has_units else [], start)
     cells = tuple(f"{axis} {i}" for i, axis in enumerate(rows[3]))
     line = start + (4 if has_units else 3)
@@ -121,15 +120,15 @@ def _points(
             own is None
             or names[start].startswith("*")
             or _OTHER.search(names[start])
-            or (units and unit not in _UNITS_M)
+            or (units and unit not in STATED_UNITS_M)
         ):
             continue
         labels.append(names[start] + ("O" if own == _AXES[1] else ""))
         columns.append((at[own[0]], at[own[1]], at[own[2]]))
-        units_m.add(_UNITS_M.get(unit))
+        units_m.add(STATED_UNITS_M.get(unit))
     if not 0 < len(labels) <= MAX_POINTS or len(units_m) > 1:
         raise SourceError(
-            path, f"expected 1 to {MAX_POINTS} labelled points in mm, cm or m, and one unit for all, found "
+            path, f"expected 1 to {MAX_POINTS} labelled points in mm or another unit of length, one for all, found "
             f"{len(labels)} points in {len(units_m)} units", line=line + 2,
         )  # fmt: skip
     return tuple(labels), tuple(columns), units_m.pop()

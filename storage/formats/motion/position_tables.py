@@ -18,6 +18,7 @@ from kinedex.ops.errors import SourceError
 from kinedex.storage.formats.csv_tables import csv_cells
 from kinedex.storage.formats.motion.points import PointsReader
 from kinedex.storage.formats.motion.reader import MotionFile
+from kinedex.storage.formats.motion.shared_labels import unique_names
 from kinedex.storage.formats.motion.subjects import bodies_of, labels_of_person
 from kinedex.storage.formats.motion.text_blocks import BLOCK, LONGEST
 from kinedex.storage.formats.source_files import file_size, part_of, source_bytes, source_errors, text_of
@@ -342,6 +343,10 @@ class PointTable:
         As for `Section`.
     numbered : bool
         True if the first column is the number of the frame.
+    unit_m : float, optional
+        Metres per unit, if the file states it.
+    origin_missing : bool
+        True if a point at exactly 0, 0, 0 is missing.
     """
 
     path: Path
@@ -355,6 +360,8 @@ class PointTable:
     texts: tuple[int, ...] = ()
     missing: str = ""
     numbered: bool = True
+    unit_m: float | None = None
+    origin_missing: bool = False
 
     def section(self) -> Section:
         """Open the lines of the table, and count its rows."""
@@ -362,6 +369,8 @@ class PointTable:
 
     def read(self, person: str, warnings: list[str]) -> tuple[tuple[str, ...], F64]:
         """Return names and positions (N, 3, T) of the points of one person, as `labels_of_person` chooses them.
+
+        Of points with the same label see `unique_names`.
 
         Raises
         ------
@@ -373,7 +382,9 @@ class PointTable:
         positions, numbers, where = self.section().points(self.header, order, (0,) if self.numbered else ())
         if numbers:
             refuse_jumps(self.path, numbers[0], where)
-        return names, positions
+        if self.origin_missing:
+            positions[np.broadcast_to((positions == 0.0).all(axis=1, keepdims=True), positions.shape)] = np.nan
+        return unique_names(names, positions, self.unit_m, warnings), positions
 
 
 class TableReader(PointsReader):

@@ -15,6 +15,7 @@ import numpy.typing as npt
 from kinedex.catalog.skeletons.mappings import Mappings
 from kinedex.catalog.skeletons.recognition.landmarks import load_landmarks
 from kinedex.catalog.skeletons.recognition.points import recognise_points
+from kinedex.catalog.skeletons.units import STATED_UNITS_M
 from kinedex.ops.errors import SourceError, did_you_mean
 from kinedex.storage.formats.csv_tables import csv_cells
 from kinedex.storage.formats.motion.numpy_arrays import array_shapes, load_array, load_arrays
@@ -43,7 +44,6 @@ _READ = (*ARRAYS, *NAMES, *RATES)
 _BLOCK_FRAMES = 16_384  # frames converted at once
 _TIMES = ("time", "times", "time (s)", "time(s)", "time_s", "time (seconds)")
 _SHOWN = 12  # most columns named in a warning
-_UNITS_M = {"m": 1.0, "cm": 0.01, "mm": 0.001, "in": 0.0254, "dm": 0.1, "ft": 0.3048}
 _AXIS = re.compile(r"(.*?\S)(?:\s*+[_.:]\s*+|\s++)([xyzXYZ])")
 _MIN_POINTS = 5  # points in columns such as `LKNE.x` or `LKNE X`; three such columns are a sensor's
 _LONGEST_HEAD = 1 << 20  # bytes of a TRC header
@@ -261,9 +261,9 @@ def _trc_rate(head: TrcHead, clock_hz: float | None, warnings: list[str]) -> flo
 def _trc_unit(head: TrcHead, warnings: list[str]) -> float | None:
     """Return the metres per stated unit; None if it is missing or unknown."""
     unit = head.values.get("units", "").lower()
-    if unit not in _UNITS_M:
-        warnings.append(f"its header has no unit of {', '.join(_UNITS_M)}" + (f", but {unit!r}" if unit else ""))
-    return _UNITS_M.get(unit)
+    if unit not in STATED_UNITS_M:
+        warnings.append(f"its header has no unit of {', '.join(STATED_UNITS_M)}" + (f", but {unit!r}" if unit else ""))
+    return STATED_UNITS_M.get(unit)
 
 
 def _number(text: str) -> float | None:

@@ -3,12 +3,9 @@
 from __future__ import annotations
 
 import re
-from collections import Counter
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import ClassVar
-
-import numpy as np
 
 from kinedex.ops.errors import SourceError
 from kinedex.storage.formats.motion.points import Points
@@ -59,12 +56,10 @@ class QualisysReader(TableReader):
         if not SLOWEST_HZ <= rate_hz <= FASTEST_HZ:
             raise SourceError(path, f"FREQUENCY must be {SLOWEST_HZ:g} to {FASTEST_HZ:g} Hz, got {rate_hz:g}")
         names, positions = table.read(file.person, warnings)
-        hidden = (positions == 0.0).all(axis=1, keepdims=True)
-        positions[np.broadcast_to(hidden, positions.shape)] = np.nan
         claimed, frames = table.number(_FIRST_KEY), positions.shape[2]
         if claimed != frames:
             warnings.append(f"the header states {claimed:g} frames, the file holds {frames}, which are kept")
-        return Points(str(path), names, positions, rate_hz, unit_m=_UNIT_M, warnings=warnings)
+        return Points(str(path), names, positions, rate_hz, unit_m=table.unit_m, warnings=warnings)
 
 
 def _table(path: Path) -> _Table:
@@ -83,9 +78,8 @@ def _table(path: Path) -> _Table:
             f"holds no markers but {held or 'something else'}; export 3D data, with {_NAMES} in the header",
             line=last,
         )
-    twice = next((name for name, count in Counter(labels).items() if count > 1), None)
-    if twice is not None or len(labels) > MAX_POINTS:
-        raise SourceError(path, f"expected at most {MAX_POINTS} different {_NAMES}, got '{twice or len(labels)}'")
+    if len(labels) > MAX_POINTS:
+        raise SourceError(path, f"expected at most {MAX_POINTS} {_NAMES}, got {len(labels)}")
     if last == len(rows):
         raise SourceError(path, "no frames: the file ends after its header", line=last)
     heads = rows[last][0] != _MISSING and as_number(rows[last][0] or "nan") is None
@@ -101,5 +95,5 @@ def _table(path: Path) -> _Table:
     columns = tuple((x, x + 1, x + 2) for x in range(leading, cells, 3))
     return _Table(
         path, tuple(labels), tuple(header), columns, last + heads, "\t", missing=_MISSING, numbered=leading > 0,
-        stated=stated,
+        unit_m=_UNIT_M, origin_missing=True, stated=stated,
     )  # fmt: skip

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections import Counter
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -80,14 +79,14 @@ def labels_of_person(
     person : str
         The chosen subject; empty for a file of one person.
     warnings : list of str
-        Sentences are appended on subjects and labels that are not used.
+        A sentence is appended on subjects that are not used.
 
     Returns
     -------
     places : list of int
         Indices of the labels that are used.
     names : tuple of str
-        Their names without the subject.
+        Their names without the subject, of which some may be equal.
 
     Raises
     ------
@@ -108,8 +107,4 @@ def labels_of_person(
     others = [name for name in of if name and name != chosen and name not in bodies]
     if chosen is not None and others:
         warnings.append(f"points of {', '.join(others[:6])} are not used: they are none of a person's")
-    twice = sorted(name for name, count in Counter(short).items() if count > 1)
-    if twice:
-        warnings.append(f"{', '.join(twice[:6])} stand for several points each, and are not used")
-    kept = [(i, name) for i, name in zip(positions, short, strict=True) if name not in twice]
-    return [i for i, _ in kept], tuple(name for _, name in kept)
+    return positions, tuple(short)

@@ -90,8 +90,22 @@ def test_bones_of_motive_1_are_joints_of_a_body(tmp_path: Path, version: str, pr
 def test_two_markers_of_motive_with_one_name_are_not_taken_for_one(tmp_path: Path) -> None:
     points = 1000 * np.concatenate([WALK, WALK[:, :1] + 0.2], axis=1)
     body = read(write(tmp_path / "a.csv", motive_csv(points, (*JOINTS, "lknee"), kind="Marker")))
-    assert any("lknee stand for several points each, and are not used" in warning for warning in body.warnings)
+    assert "several markers are called lknee; none of them is used" in body.warnings
     assert "lknee" in (*body.unknown, *body.estimated)
+
+
+def test_a_unit_that_nobody_knows_is_guessed_with_a_warning(tmp_path: Path) -> None:
+    body = read(write(tmp_path / "a.csv", motive_csv(1000 * WALK, SKELETON, unit="Furlongs")))
+    assert body.unit == "0.001 m (guessed)"
+    assert any("Length Units" in warning and "'Furlongs'" in warning for warning in body.warnings)
+    np.testing.assert_allclose(body.positions, EXPECTED, atol=1e-4)
+
+
+@pytest.mark.parametrize(("unit", "unit_m"), [("in", 0.0254), ("dm", 0.1), ("ft", 0.3048)])
+def test_units_of_other_programs_are_known_in_files_of_nexus(tmp_path: Path, unit: str, unit_m: float) -> None:
+    body = read(write(tmp_path / "a.csv", nexus_csv(WALK / unit_m, SKELETON, unit=unit)))
+    assert body.unit == f"{unit_m:g} m"
+    np.testing.assert_allclose(body.positions, EXPECTED, atol=1e-4)
 
 
 def test_several_skeletons_are_several_persons(tmp_path: Path) -> None:
@@ -107,7 +121,6 @@ def test_several_skeletons_are_several_persons(tmp_path: Path) -> None:
 def test_faults_of_motive_are_refused_with_the_way_out(tmp_path: Path) -> None:
     path = tmp_path / "a.csv"
     refused(write(path, motive_csv(WALK, SKELETON, space="Local")), "Coordinate Space: Global", line=1)
-    refused(write(path, motive_csv(WALK, SKELETON, unit="Furlongs")), "Length Units", "Furlongs", line=1)
     refused(write(path, motive_csv(WALK, ["Box"] * 24, kind="Rigid Body")), "only Rigid Body", "export it with bones")
     text = motive_csv(WALK, SKELETON)
     refused(write(path, text.replace("Frame,Time", "Frames,Time")), "expected a row 'Frame,Time", line=1)
@@ -160,7 +173,7 @@ def test_faults_of_nexus_are_refused_with_their_line(tmp_path: Path) -> None:
     refused(write(path, text.replace("100,,", "0,,", 1)), "expected a rate", line=9)
     refused(write(path, text.replace("\r\n8,0,", "\r\n9,0,", 1)), "the next frame, 8, got 9", line=15)
     refused(write(path, text.replace("\r\n8,0,", "\r\n8,0,x", 1)), "not a number", line=15)
-    refused(write(path, nexus_csv(WALK, SKELETON, unit="deg")), "labelled points in mm, cm or m")
+    refused(write(path, nexus_csv(WALK, SKELETON, unit="deg")), "labelled points in mm or another unit of length")
 
 
 def test_other_tables_are_no_motion_files(tmp_path: Path) -> None:

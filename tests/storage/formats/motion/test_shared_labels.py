@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import pickle
+from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -13,12 +15,17 @@ from kinedex.catalog.skeletons.mappings import load_mappings
 from kinedex.ops.errors import SourceError
 from kinedex.storage.formats.motion.c3d import parse_c3d
 from kinedex.storage.formats.motion.positions import parse_positions
-from kinedex.storage.formats.motion.reader_table import is_motion_file, read_body
+from kinedex.storage.formats.motion.reader import DEFAULT_SETTINGS, MotionFile
+from kinedex.storage.formats.motion.reader_table import is_motion_file, read_body, reader_of
 from kinedex.storage.formats.motion.shared_labels import unique_names
 from tests.c3d_files import LABELS, standing_markers, write_c3d
+from tests.point_files import motive_csv, nexus_csv, qualisys_tsv
 from tests.storage.formats.motion.test_positions import trc
 
 FRAMES = 8
+TABLES = {"motive.csv": partial(motive_csv, kind="Marker"), "nexus.csv": nexus_csv, "qualisys.tsv": qualisys_tsv}
+"""File → the writer of a table of markers, as another program writes it."""
+
 KNEE = LABELS.index("LKNE")
 
 
@@ -93,6 +100,21 @@ def test_trc_and_c3d_files_come_in_with_the_copies_of_a_marker(tmp_path: Path) -
     for found in (parse_positions(tmp_path / "a.trc"), parse_c3d(write_c3d(tmp_path / "a.c3d", points, labels))):
         assert any("taken for one marker: LKNE (2 copies)" in warning for warning in found.warnings)
         np.testing.assert_allclose(found.positions[found.names.index("LKNE")], markers()[KNEE], atol=0.01)
+
+
+@pytest.mark.parametrize(("name", "written"), TABLES.items())
+@pytest.mark.parametrize("copy", ["LKNE", "LKNE (1)", "LKNE_1"])
+def test_tables_of_programs_come_in_with_the_copies_of_a_marker(
+    tmp_path: Path, name: str, written: Callable[..., str], copy: str
+) -> None:
+    points = np.concatenate([markers(), markers()[KNEE : KNEE + 1]]).transpose(2, 0, 1)
+    points[2:4, KNEE] = np.nan
+    labels = [f"Ann:{label}" for label in (*LABELS, copy)]
+    path = tmp_path / name
+    path.write_text(written(points, labels), newline="")
+    found = reader_of(path).points(MotionFile(path), DEFAULT_SETTINGS)
+    assert any("taken for one marker: LKNE (2 copies)" in warning for warning in found.warnings)
+    np.testing.assert_allclose(found.positions[found.names.index("LKNE")], markers()[KNEE], atol=0.01)
 
 
 def test_markers_of_soma_come_in_as_those_of_a_c3d_file(tmp_path: Path) -> None:
