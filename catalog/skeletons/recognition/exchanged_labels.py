@@ -7,11 +7,11 @@ faces with that of toes, pelvis, thorax and face.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 
 import numpy as np
 
-from kinedex.catalog.skeletons.recognition.landmarks import Reading
+from kinedex.catalog.skeletons.recognition.landmarks import Reading, model_labels
 from kinedex.catalog.skeletons.recognition.point_trunk import SIDES, BodyDraft, median_of
 from kinedex.ops.arrays import F64
 
@@ -46,22 +46,35 @@ _MIDDLE = {
 
 _LEVELS = (
     ("strn", "clav"), ("t10", "c7"), ("sacrum", "t10"), ("c7", "lheadback"), ("c7", "rheadback"),
-    ("clav", "lheadfront"), ("clav", "rheadfront"), ("pelvis", "neckjoint"),
+    ("clav", "lheadfront"), ("clav", "rheadfront"), ("pelvis", "neckjoint"), ("ltrochanter", "lasis"),
+    ("rtrochanter", "rasis"), ("lscapula", "lacromion"), ("rscapula", "racromion"), ("lscapula", "c7"),
+    ("rscapula", "c7"),
 )  # fmt: skip
 """Pairs of landmarks of the trunk, the lower one first."""
 
 _FARTHER = (
-    ("kneelat", "anklelat", "heel"), ("kneejoint", "anklejoint", "heel"), ("elbowlat", "wristrad", "hand"),
-    ("elbowlat", "wristuln", "hand"), ("elbowlat", "wristrad", "hand2"), ("elbowlat", "wristuln", "hand5"),
-    ("heel", "anklelat", "toe2"), ("heel", "anklelat", "toe5"), ("heel", "anklejoint", "bigtoe"),
+    ("kneelat", "anklelat", "heel", 1.0), ("kneejoint", "anklejoint", "heel", 1.0),
+    *(("elbowlat", "wristrad", hand, 1.0) for hand in ("hand", "hand2")),
+    *(("elbowlat", "wristuln", hand, 1.0) for hand in ("hand", "hand5")),
+    ("heel", "anklelat", "toe2", 1.0), ("heel", "anklelat", "toe5", 1.0), ("heel", "anklejoint", "bigtoe", 1.0),
+    *(("kneelat", "heel", toe, 0.75) for toe in ("toe1", "toe2", "toe5")), ("kneejoint", "heel", "bigtoe", 0.75),
 )  # fmt: skip
-"""Landmarks of a side, of which the second is nearer to the first than the third is, however the limb is bent."""
+"""Landmarks of a side: the third is farther from the first than this share of the second's distance from it is, however
+the limb is bent."""
+
+_SIDED = (("acromion", ("c7", "clav", "t10", "strn")), ("shoulderjoint", ("neckjoint", "thorax")))
+"""Landmarks of a side that lie on this side of others, in the middle, as the hips define it."""
 
 _UNEVEN = 0.07  # of a leg, some 6 cm; right files differ by up to 5 cm, as markers are not set alike
 _UNEVEN_HANDS = 0.08  # of a leg, as the markers of hands are set where there is room
 _UNEVEN_FOOT = (0.25, 0.045)  # of the distance, at least so much of a leg
 _MOVING = (0.1, 0.02)  # half the interquartile range, as a share of the distance, at least so much of a leg
-_UNEVEN_MIDDLE = 0.12  # of a leg; shoulders move against the spine
+_OFF_MIDDLE = 0.07  # of a leg; shoulders move against the spine
+_ONE_PLACE = 0.005  # of a leg; markers of different landmarks are some cm apart
+_FEW, _MOSTLY = 4, 0.5  # frames in which that is looked for, and the share in which it must be so
+_NEIGHBOUR = 0.12  # of a leg; how far away another point may be with which a landmark is exchanged
+_MOVING_SHANK = 0.002  # of a leg, some 2 mm, from which an ankle marker moves against the shank
+_STEADIER = 2.0  # times less than that an unknown point must move to be the ankle marker rather
 _SURE = 0.2  # cosine of an angle from which a direction points ahead or back
 _SHOWN = 4  # most findings in a warning
 
@@ -92,7 +105,10 @@ def exchanged_labels(draft: BodyDraft, reading: Reading, leg: float) -> list[str
         *_moving(places, called, leg),
         *_farther(places, called),
         *_middles(places, called, leg),
+        *_sided(places, called),
         *_levels(draft, places, called),
+        *_of_the_shank(draft, reading, leg),
+        *(_at_one_place(places, called, leg) if reading.skin else ()),
     ]
     if not found:
         return []
@@ -102,6 +118,11 @@ def exchanged_labels(draft: BodyDraft, reading: Reading, leg: float) -> list[str
 
 def _apart(a: F64, b: F64) -> F64:
     return np.asarray(np.sqrt(((a - b) ** 2).sum(axis=0)))
+
+
+def _usual(values: F64) -> float:
+    """Return the median of the finite values; NaN if fewer than a quarter are, as single frames may be any posture."""
+    return median_of(values) if 4 * np.count_nonzero(np.isfinite(values)) >= len(values) else float("nan")
 
 
 def _times(a: float, b: float) -> str:
@@ -157,14 +178,15 @@ def _moving(places: Mapping[str, F64], called: Mapping[str, str], leg: float) ->
 
 
 def _farther(places: Mapping[str, F64], called: Mapping[str, str]) -> Iterator[str]:
-    """Yield a clause for each triple of `_FARTHER` whose third landmark is nearer to the first than the second is.
+    """Yield a clause for each entry of `_FARTHER` whose third landmark is too near to the first.
 
     This is impossible in a real limb: a heel, for example, is farther from the knee than the ankle is.
     """
     for side in SIDES:
-        for first, near, far in ((f"{side}{a}", f"{side}{b}", f"{side}{c}") for a, b, c in _FARTHER):
+        for *parts, share in _FARTHER:
+            first, near, far = (f"{side}{part}" for part in parts)
             if {first, near, far} <= places.keys():
-                away = _apart(places[first], places[far]) - _apart(places[first], places[near])
+                away = _apart(places[first], places[far]) - share * _apart(places[first], places[near])
                 if median_of(away) < 0:
                     yield f"{called[far]} is nearer to {called[first]} than {called[near]}"
 
@@ -182,12 +204,73 @@ def _middles(places: Mapping[str, F64], called: Mapping[str, str], leg: float) -
         side = next((one for one in sides if {f"l{one}", f"r{one}"} <= places.keys()), None)
         if side is None or part not in places:
             continue
-        to_left, to_right = (median_of(_apart(places[part], places[f"{one}{side}"])) for one in SIDES)
-        if abs(to_left - to_right) > _UNEVEN_MIDDLE * leg:
+        to_left, to_right = (_apart(places[part], places[f"{one}{side}"]) for one in SIDES)
+        width = _apart(places[f"l{side}"], places[f"r{side}"])
+        with np.errstate(invalid="ignore", divide="ignore"):
+            off = median_of((to_left**2 - to_right**2) / (2 * width))
+        if abs(off) > _OFF_MIDDLE * leg:
             yield (
-                f"{called[part]} is {_times(to_left, to_right)} as far from {called[f'l{side}']} as from "
-                f"{called[f'r{side}']}"
+                f"{called[part]} is {_times(median_of(to_left), median_of(to_right))} as far from "
+                f"{called[f'l{side}']} as from {called[f'r{side}']}"
             )
+
+
+def _sided(places: Mapping[str, F64], called: Mapping[str, str]) -> Iterator[str]:
+    """Yield a clause for each landmark of a side that is on the other side of one in the middle."""
+    if not {"lhip", "rhip"} <= places.keys():
+        return
+    across = places["lhip"] - places["rhip"]
+    for part, middles in _SIDED:
+        for side, sign, word in (("l", 1.0, "right"), ("r", -1.0, "left")):
+            for middle in (middle for middle in middles if middle in places and f"{side}{part}" in places):
+                away = sign * (places[f"{side}{part}"] - places[middle])
+                if _usual((away * across).sum(axis=0)) < 0 and _usual(_cosine(away, across)) < -_SURE:
+                    yield f"{called[f'{side}{part}']} is on the {word} of {called[middle]}"
+
+
+def _at_one_place(places: Mapping[str, F64], called: Mapping[str, str], leg: float) -> Iterator[str]:
+    """Yield a clause for each pair of markers of different landmarks that lie at one place."""
+    names = [name for name in places if name not in ("lhip", "rhip")]
+    if len(names) < 2:
+        return
+    whole = np.nan_to_num(np.stack([places[name] for name in names]), nan=np.inf)
+    some = whole[:, :, :: max(1, whole.shape[2] // _FEW)]
+    i, j = np.triu_indices(len(names), 1)
+    with np.errstate(invalid="ignore"):
+        apart = np.abs(some[i] - some[j]).max(axis=1)  # NaN where both are hidden
+    for pair in np.flatnonzero((apart <= _ONE_PLACE * leg).mean(axis=1) >= _MOSTLY):
+        yield f"{called[names[i[pair]]]} and {called[names[j[pair]]]} are at the same place"
+
+
+def _of_the_shank(draft: BodyDraft, reading: Reading, leg: float) -> Iterator[str]:
+    """Yield a clause for each ankle marker that moves against the shank while an unknown point near it does not."""
+    of_model = model_labels(reading.unread)
+    unknown = [label for label in reading.unread if label not in of_model]
+    for side in SIDES:
+        of = {name: reading.labels.get(f"{side}{name}", ()) for name in ("kneelat", "kneemed", "shank")}
+        fixed = [draft.positions[label] for labels in of.values() for label in labels]
+        if len(fixed) < 3 or not of["shank"]:
+            continue
+        for label in (label for part in ("lat", "med") for label in reading.labels.get(f"{side}ankle{part}", ())):
+            own = draft.positions[label]
+            spread = _spread(own, fixed)
+            if not spread > _MOVING_SHANK * leg:
+                continue
+            for other in unknown:
+                place = draft.positions[other]
+                near = median_of(_apart(place, own)) < _NEIGHBOUR * leg
+                if near and spread > _STEADIER * _spread(place, fixed):
+                    yield f"{other} moves less against the shank than {label} beside it does"
+
+
+def _spread(point: F64, others: Sequence[F64]) -> float:
+    """Return half the interquartile range of a point's distance from others, the median over these."""
+    found = []
+    for other in others:
+        away = _apart(point, other)
+        low, high = np.percentile(away[np.isfinite(away)], [25, 75]) if np.isfinite(away).any() else (np.nan, np.nan)
+        found.append((high - low) / 2)
+    return float(np.median(found))
 
 
 def _levels(draft: BodyDraft, places: Mapping[str, F64], called: Mapping[str, str]) -> Iterator[str]:
@@ -199,7 +282,7 @@ def _levels(draft: BodyDraft, places: Mapping[str, F64], called: Mapping[str, st
         if (
             lower in places
             and upper in places
-            and median_of(((places[upper] - places[lower]) * (neck - root)).sum(axis=0)) < 0
+            and _usual(((places[upper] - places[lower]) * (neck - root)).sum(axis=0)) < 0
         ):
             yield f"{called[lower]} is above {called[upper]}"
 
@@ -234,7 +317,8 @@ def _fronts(places: Mapping[str, F64]) -> Iterator[tuple[str, str]]:
         if toes and heel:
             yield f"{side}{heel}", f"{side}{toes}"
     pairs = [("lpsis", "lasis"), ("rpsis", "rasis"), ("sacrum", "lasis"), ("c7", "clav"), ("t10", "strn")]
-    yield from ((back, front) for back, front in [*pairs, ("lear", "nose")] if {back, front} <= places.keys())
+    pairs += [("lear", "nose"), ("headjoint", "nose")]
+    yield from ((back, front) for back, front in pairs if {back, front} <= places.keys())
 
 
 def _cosine(a: F64, b: F64) -> F64:

@@ -174,12 +174,11 @@ class Landmarks:
         return {joint: reading.made[joint] for joint in joints}
 
     def _read(self, labels: Sequence[str], prefix: str, ending: str) -> Reading:
-        stems = Counter(label[:-1] for label in labels if label[-1:] in _MODEL)
-        models = {stem for stem, count in stems.items() if count >= _FEW_OF_MODEL}
+        of_model = model_labels(labels)
         keys = {
             label: self._key_of(label.removeprefix(prefix).removesuffix(ending))
             for label in labels
-            if not (label[-1:] in _MODEL and label[:-1] in models)
+            if label not in of_model
         }
         skin = self._found(keys, self.skin)
         centres = self._found(keys, self.centres)
@@ -276,6 +275,13 @@ class Landmarks:
                     )
                 )
         return ways
+
+
+def model_labels(labels: Sequence[str]) -> frozenset[str]:
+    """Return the labels that Vicon's models give to origins and axes of segments, which are no markers."""
+    stems = Counter(label[:-1] for label in labels if label[-1:] in _MODEL)
+    models = {stem for stem, count in stems.items() if count >= _FEW_OF_MODEL}
+    return frozenset(label for label in labels if label[-1:] in _MODEL and label[:-1] in models)
 
 
 def _prefixes(labels: Sequence[str]) -> list[str]:

@@ -148,7 +148,11 @@ def body_of_points(
     evidence = list(recognition_evidence(fit))
     unit = to_metres(path, positions, points.unit_m or fit.mapping.unit_m, joints, warnings, evidence, first, stated)
     refuse_far(path, positions, joints, fit.unknown, valid)
-    warnings += replaced_joints(points.positions, fit, positions, joints, float(unit.split()[0]))
+    replaced = replaced_joints(points.positions, fit, positions, joints, float(unit.split()[0]))
+    warnings += replaced.warnings
+    estimated = fit.estimated | {joint: how for joint, how in replaced.estimated.items() if joint not in fit.estimated}
+    if how := ", ".join(f"{joint} ({estimated[joint]})" for joint in estimated if joint not in fit.estimated):
+        evidence.append(f"joints whose points are hidden for long are estimated: {how}")
     return Body(
         positions=positions,
         orientation=root_orientation(positions, joints, valid, warnings),
@@ -159,7 +163,7 @@ def body_of_points(
         unknown=fit.unknown,
         warnings=tuple(warnings),
         valid=None if valid.all() else valid,
-        estimated=tuple(fit.estimated),
+        estimated=tuple(estimated),
         confidence=fit.confidence,
         evidence=tuple(evidence),
     )

@@ -1,6 +1,8 @@
-"""Warn of joints that other points place where their own are hidden, beside where they would be."""
+"""Find joints that other points place where their own are hidden: often, or beside where they would be."""
 
 from __future__ import annotations
+
+from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -12,10 +14,26 @@ I64 = npt.NDArray[np.int64]
 
 _COMPARED = 500  # frames in which a joint is compared with where other points would place it
 _BESIDE_M = 0.02  # distance from there that is warned of
+_OFTEN = 0.1  # share of the frames from which a joint that others place counts as estimated
 
 
-def replaced_joints(points: F64, fit: Fit, positions: F64, joints: tuple[str, ...], unit_m: float) -> list[str]:
-    """Return a warning on joints that, where their points are hidden, are placed by others at a distance from there.
+class ReplacedJoints(NamedTuple):
+    """The joints that other points place where their own are hidden.
+
+    Attributes
+    ----------
+    warnings : list of str
+        A warning on those that others place at a distance from where their own points would.
+    estimated : dict of str to str
+        Joint → how it is estimated, for joints that others place in a tenth of the frames or more.
+    """
+
+    warnings: list[str]
+    estimated: dict[str, str]
+
+
+def replaced_joints(points: F64, fit: Fit, positions: F64, joints: tuple[str, ...], unit_m: float) -> ReplacedJoints:
+    """Find the joints that other points place where their own are hidden.
 
     Parameters
     ----------
@@ -30,7 +48,7 @@ def replaced_joints(points: F64, fit: Fit, positions: F64, joints: tuple[str, ..
     unit_m : float
         Metres of the points' unit.
     """
-    found = []
+    found, estimated, count = [], dict[str, str](), points.shape[2]
     for joint, others in fit.instead.items():
         first = fit.joints[joint]
         if first is None or first.of_joints:
@@ -39,17 +57,20 @@ def replaced_joints(points: F64, fit: Fit, positions: F64, joints: tuple[str, ..
         if not lost.any():
             continue
         seen = np.flatnonzero(~lost)[:: max(1, np.count_nonzero(~lost) // _COMPARED)]
-        frames, far = 0, 0.0
+        frames, far, hidden = 0, 0.0, np.count_nonzero(lost)
         for other in others:
             there = lost & ~np.isnan(_other_points(points, fit, positions, joints, other)).any(axis=(0, 1))
             away = _moved(points, fit, positions, joints, joint, other, seen, unit_m)
             if there.any() and away > _BESIDE_M:
                 frames, far = frames + int(np.count_nonzero(there)), max(far, away)
             lost &= ~there
+        replaced = hidden - np.count_nonzero(lost)
+        if replaced >= _OFTEN * count:
+            estimated[joint] = f"from other points in {replaced} of {count} frames"
         if frames:
             found.append(f"{joint} in {frames} frames (by {100 * far:.0f} cm)")
     text = "where their points are hidden, joints are placed by others, beside where they would be"
-    return [f"{text}: {', '.join(found)}"] if found else []
+    return ReplacedJoints([f"{text}: {', '.join(found)}"] if found else [], estimated)
 
 
 def _other_points(points: F64, fit: Fit, positions: F64, joints: tuple[str, ...], mix: Mix) -> F64:

@@ -15,6 +15,7 @@ from kinedex.catalog.skeletons.mappings import Mappings
 from kinedex.ops.errors import SourceError
 from kinedex.storage.formats.motion.reader import Body
 from kinedex.storage.formats.motion.reader_table import read_body
+from tests.bodies import STANDING
 from tests.c3d_files import LABELS, standing_markers, write_c3d, z_up
 
 JOINTS = load_feature_set().joints
@@ -80,15 +81,77 @@ def test_labels_of_one_side_that_are_exchanged_are_warned_of(a: str, b: str) -> 
     assert here is None or any("may be exchanged" in warning for warning in here[0].warnings)
 
 
-def read_points(names: dict[str, str]) -> tuple[Body, Body] | None:
-    """The bodies of the standing figure with labels renamed and with its own; None if the first is refused."""
+def read_points(
+    names: dict[str, str], points: np.ndarray | None = None, known: tuple[str, ...] = LABELS
+) -> tuple[Body, Body] | None:
+    """The bodies of points, by default of the standing figure, with labels renamed and with their own.
+
+    None if the first is refused.
+    """
+    points = standing_markers(8) if points is None else points
     with tempfile.TemporaryDirectory() as folder:
-        whole = read(Path(folder) / "whole.c3d", standing_markers(8))
-        labels = tuple(names.get(one, one) for one in LABELS)
+        whole = read(Path(folder) / "whole.c3d", points, known)
+        assert not any("exchanged" in warning for warning in whole.warnings)
+        labels = tuple(names.get(one, one) for one in known)
         try:
-            return read(Path(folder) / "other.c3d", standing_markers(8), labels), whole
+            return read(Path(folder) / "other.c3d", points, labels), whole
         except SourceError:
             return None
+
+
+MORE = {
+    "RBAK": (-0.09, 1.40, -0.12), "LGT": (0.17, 0.90, 0.0), "RGT": (-0.17, 0.90, 0.0), "LTIB": (0.14, 0.28, 0.03),
+    "*7": (0.0, 1.44, 0.07),
+}  # fmt: skip
+"""Markers beside those of HDM05, in metres: on the right shoulder blade, the trochanters, a shin, and one upon CLAV."""
+
+
+@pytest.mark.parametrize(
+    ("a", "b", "words"),
+    [
+        ("RSHO", "RBAK", "RBAK is above RSHO"),
+        ("C7", "RBAK", "RBAK is above C7"),
+        ("C7", "RSHO", "RSHO is on the left of C7"),
+        ("LFWT", "LGT", "LGT is above LFWT"),
+        ("LTOE", "LTIB", "LTOE is nearer to LKNE than LHEE"),
+        ("STRN", "*7", "are at the same place"),
+    ],
+)
+def test_labels_that_are_exchanged_with_a_neighbour_contradict_each_other(a: str, b: str, words: str) -> None:
+    extra = np.array(list(MORE.values()))[:, :, None] + np.array([[0.0], [0.0], [0.01]]) * np.arange(8)
+    found = read_points({a: b, b: a}, np.concatenate([standing_markers(8), extra]), (*LABELS, *MORE))
+    assert found is not None
+    assert any("may be exchanged" in warning and words in warning for warning in found[0].warnings), found[0].warnings
+
+
+def test_a_head_that_is_exchanged_with_the_nose_is_warned_of() -> None:
+    joints = ("hip", "knee", "ankle", "shoulder", "elbow", "wrist")
+    points = {f"{side.upper()}{joint.title()}": STANDING[f"{side}{joint}"] for joint in joints for side in "lr"}
+    points |= {"Neck": STANDING["neck"], "Head": (0.0, 1.78, 0.0), "Nose": (0.0, 1.64, 0.12)}
+    walk = np.array(list(points.values()))[:, :, None] + np.array([[0.0], [0.0], [0.01]]) * np.arange(8)
+    found = read_points({"Head": "Nose", "Nose": "Head"}, walk, tuple(points))
+    assert found is not None
+    assert any("Head and Nose" in warning for warning in found[0].warnings), found[0].warnings
+
+
+def test_a_foot_marker_that_is_taken_for_the_ankle_moves_against_the_shank() -> None:
+    foot, shin = (0.13, 0.06, -0.02), {"LTB1": (0.15, 0.4, 0.04), "LTB2": (0.18, 0.3, 0.0), "LTB3": (0.15, 0.2, 0.04)}
+    extra = np.array([foot, *shin.values()])[:, :, None] + np.array([[0.0], [0.0], [0.01]]) * np.arange(32)
+    extra[0, 1] += 0.012 * np.sin(np.arange(32))  # the foot turns about the ankle
+    points = np.concatenate([standing_markers(32), extra])
+    found = read_points({"LANK": "P1", "P1": "LANK"}, points, (*LABELS, "P1", *shin))
+    assert found is not None
+    assert any("P1 moves less against the shank than LANK beside it" in warning for warning in found[0].warnings)
+
+
+def test_a_joint_whose_markers_are_hidden_for_long_is_estimated(tmp_path: Path) -> None:
+    points = standing_markers(60)
+    points[LABELS.index("LFWT"), :, :30] = np.nan
+    body = read(tmp_path / "a.c3d", points)
+    assert {"root", "lhip"} <= set(body.estimated)
+    assert any("lhip (from other points in 30 of 60 frames)" in sentence for sentence in body.evidence)
+    points[LABELS.index("LFWT"), :, 4:] = standing_markers(60)[LABELS.index("LFWT"), :, 4:]
+    assert "lhip" not in read(tmp_path / "b.c3d", points).estimated
 
 
 def test_a_mirrored_scene_is_warned_of(tmp_path: Path) -> None:
