@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 from collections.abc import Collection
 from dataclasses import dataclass
+from itertools import takewhile
 from pathlib import Path
 from typing import ClassVar
 
@@ -19,7 +20,7 @@ from kinedex.storage.formats.motion.osim import LARGEST, Model, read_osim
 from kinedex.storage.formats.motion.points import Points, PointsReader
 from kinedex.storage.formats.motion.position_tables import Section, first_lines
 from kinedex.storage.formats.motion.reader import FASTEST_HZ, SLOWEST_HZ, MotionFile, ReadSettings
-from kinedex.storage.formats.motion.sources import shared_prefix
+from kinedex.storage.formats.motion.skeleton_files import name_parts
 from kinedex.storage.formats.source_files import beginning
 
 F64 = npt.NDArray[np.float64]
@@ -108,19 +109,27 @@ def _given(settings: ReadSettings) -> str | None:
 def model_of(path: Path, layout: _Layout, settings: ReadSettings) -> tuple[Path, Model]:
     """Return a motion's model, and its path: that of the settings, else the .osim file beside it.
 
-    Of several files, the one whose name agrees longest with the motion's counts, if it has coordinates of the motion;
-    of files that agree equally, the one that has the most of them.
+    A name that has another number than the motion's, after the same words, is that of somebody else's model: it does
+    not count. Of several files, the one that shares most words and numbers at the beginning of its name with the
+    motion's counts, if it has coordinates of the motion; of files that share equally many, the one that has the most
+    of them.
 
     Raises
     ------
     SourceError
-        There is no model, several go with the motion equally well, or a model is damaged.
+        There is no model, all are named after others, several go with the motion equally well, or a model is damaged.
     """
     given = _given(settings)
     if given is not None:
         return (chosen := Path(given).expanduser()), read_osim(chosen)
-    found = sorted(other for other in path.parent.iterdir() if other.suffix.lower() == ".osim" and other.is_file())
-    shared = [shared_prefix(path.stem.casefold(), other.stem.casefold()) for other in found]
+    beside = sorted(other for other in path.parent.iterdir() if other.suffix.lower() == ".osim" and other.is_file())
+    found = [other for other in beside if not _is_of_another(path, other)]
+    if beside and not found:
+        raise SourceError(
+            path, f"the models beside it are of others, by the numbers in their names: "
+            f"{', '.join(other.name for other in beside)}; if one is its own, give it by `body_model`, or --body-model",
+        )  # fmt: skip
+    shared = [_shared_parts(path, other) for other in found]
     best = [other for other, length in zip(found, shared, strict=True) if length == max(shared)]
     if best:
         there = layout.coordinates().keys()
@@ -141,6 +150,18 @@ def model_of(path: Path, layout: _Layout, settings: ReadSettings) -> tuple[Path,
         f"holds the coordinates of an OpenSim model ({', '.join(layout.columns[1:4])}, …), which alone has the joints: "
         "put its .osim file beside it, or give it by `body_model`, or --body-model",
     )
+
+
+def _shared_parts(motion: Path, model: Path) -> int:
+    """Return the number of words and numbers with which the names of a motion and of a model both begin."""
+    pairs = zip(name_parts(motion.stem), name_parts(model.stem), strict=False)
+    return sum(1 for _ in takewhile(lambda pair: pair[0] == pair[1], pairs))
+
+
+def _is_of_another(motion: Path, model: Path) -> bool:
+    """Return whether the names of a motion and of a model differ first by a number: subject02 is not subject01."""
+    parts, shared = (name_parts(motion.stem), name_parts(model.stem)), _shared_parts(motion, model)
+    return all(len(those) > shared and those[shared].isdigit() for those in parts)
 
 
 def _held(model: Model, there: Collection[str]) -> int:

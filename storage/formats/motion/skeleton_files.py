@@ -72,7 +72,7 @@ def given_skeleton(motion: SourceFile, skeletons: Iterable[SourceFile], given: M
 
 def skeleton_doubt(motion: Path, skeleton: Path) -> str | None:
     """Return a warning if the name of a motion file does not confirm its skeleton file; None if it does."""
-    if _begins(*(_name_parts(split_ending(file.name)[0]) for file in (motion, skeleton))):
+    if _begins(*(name_parts(split_ending(file.name)[0]) for file in (motion, skeleton))):
         return None
     return (
         f"its skeleton {skeleton.name} is taken because there is no other, its name does not say so: if these are the "
@@ -93,7 +93,7 @@ def skeletons_by_folder(skeletons: Iterable[SourceFile]) -> dict[str, SkeletonFo
     for skeleton in skeletons:
         folder = folders.setdefault(os.path.dirname(skeleton.path), SkeletonFolder())
         folder.files.append(skeleton)
-        folder.of_parts.setdefault(_name_parts(skeleton.stem), []).append(skeleton)
+        folder.of_parts.setdefault(name_parts(skeleton.stem), []).append(skeleton)
     return folders
 
 
@@ -105,7 +105,7 @@ _ANY_SUBJECT = frozenset(
 )
 
 
-def _name_parts(stem: str) -> tuple[str, ...]:
+def name_parts(stem: str) -> tuple[str, ...]:
     """Return the words and numbers of a name in lower case: bd, walk and 01 of `bdWalk_01`."""
     return tuple(part.casefold() for part in _NAME_PART.findall(_CAMEL.sub(" ", stem))) or (stem.casefold(),)
 
@@ -154,7 +154,7 @@ _MAX_SEEN = 6  # most candidates that an error names
 
 def _namesakes(motion: SourceFile, folder: SkeletonFolder) -> list[SourceFile]:
     """Return the skeletons of a folder whose whole name begins that of a motion, those with the most parts."""
-    parts = _name_parts(motion.stem)
+    parts = name_parts(motion.stem)
     for count in range(len(parts), 0, -1):
         if (found := folder.of_parts.get(parts[:count])) is not None:
             stem = motion.stem.casefold()
@@ -166,8 +166,8 @@ def _only_one(motion: SourceFile, folder: SkeletonFolder, path: str) -> list[Sou
     """Return the only skeleton of a folder if its name is that of the folder, or of no subject; else an empty list."""
     if len(folder.files) != 1:
         return []
-    own, named = _name_parts(motion.stem), _name_parts(folder.files[0].stem)
+    own, named = name_parts(motion.stem), name_parts(folder.files[0].stem)
     if _ANY_SUBJECT.issuperset(named):
         return folder.files
     other_number = own[0].isdigit() and named[0].isdigit()  # 02_05.amc in the folder 01 may be of subject 02
-    return folder.files if path and named == _name_parts(os.path.basename(path)) and not other_number else []
+    return folder.files if path and named == name_parts(os.path.basename(path)) and not other_number else []

@@ -372,11 +372,6 @@ def checksum(path: Path) -> str:
         raise SourceError(readable(str(path)), f"cannot be read: {fault.strerror}") from fault
 
 
-def shared_prefix(a: str, b: str) -> int:
-    """Return the number of characters with which both of two texts begin."""
-    return next((i for i, (x, y) in enumerate(zip(a, b, strict=False)) if x != y), min(len(a), len(b)))
-
-
 def path_groups(path: str, patterns: Sequence[re.Pattern[str]]) -> Mapping[str, str] | None:
     """Return the named groups of the first pattern that a path matches; None if it matches none."""
     for pattern in patterns:

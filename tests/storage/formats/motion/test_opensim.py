@@ -163,6 +163,19 @@ def test_without_a_model_or_with_several_the_way_out_is_given(tmp_path: Path) ->
     assert "the model bob.osim" in points(path, second).warnings[0]
 
 
+def test_a_model_of_another_subject_is_not_taken_though_their_names_begin_alike(tmp_path: Path) -> None:
+    path = write(tmp_path / "subject01_walk.mot", motion({"knee_r_angle": [0.0, 1.0]}))
+    other = write(tmp_path / "subject02_walk.osim", model())
+    refused(path, "of others", "subject02_walk.osim", "--body-model")
+    assert "the model subject02_walk.osim" in points(path, other).warnings[0]
+    write(tmp_path / "gait.osim", model())
+    assert "the model gait.osim" in points(path).warnings[0]
+    write(tmp_path / "Subject01.osim", model())
+    assert "the model Subject01.osim" in points(path).warnings[0]
+    write(tmp_path / "sub.osim", model())  # begins as the motion does, but is no whole word of it
+    assert "the model Subject01.osim" in points(path).warnings[0]
+
+
 def test_of_several_models_the_one_with_the_coordinates_of_the_motion_is_taken(tmp_path: Path) -> None:
     path = write(tmp_path / "walk_01.mot", motion({"knee_r_angle": [0.0, 1.0], "elbow_r_angle": [0.0, 1.0]}))
     write(tmp_path / "ann.osim", model())
