@@ -100,13 +100,13 @@ class CachingThesisMethod(ThesisMethod):
         return cls(templates.quantised, templates.class_index, templates.thresholds)
 
     def matches(self, words: TakeWords, ranges: Sequence[I64]) -> Matches:
-        """Return the matches of each template as `ThesisMethod.matches` does, from the cache if it has them.
-
-        The cache does not distinguish ranges, so `ranges` must be whole takes.
-        """
+        """Return the matches of each template as `ThesisMethod.matches` does, from the cache if it has them."""
         taus = self.thresholds[self.class_index]
         takes = words.take_ids.tobytes()
-        keys = [(*self.scope, takes, *template_key(one)) for one in self.templates]
+        keys = [
+            (*self.scope, takes, own.tobytes(), *template_key(one))
+            for one, own in zip(self.templates, ranges, strict=True)
+        ]
         found = {
             place: held.below(tau)
             for place, (key, tau) in enumerate(zip(keys, taus.tolist(), strict=True))

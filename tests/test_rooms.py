@@ -205,12 +205,13 @@ def test_every_way_to_import_counts_in_a_circle(source: str) -> None:
 
 FORMS = {
     "Interval": "ops/intervals.py",
+    "Hit": "ops/intervals.py",
     "TakeSegment": "ops/intervals.py",
     "Segment": "ops/annotation/segments.py",
     "Label": "storage/formats/labels/file_labels.py",
     "ManualSegment": "storage/formats/labels/file_labels.py",
 }
-"""The forms of an interval, a segment and a label, and their homes (docs/architecture.md)."""
+"""The forms of an interval, a hit, a segment and a label, and their homes (docs/architecture.md)."""
 
 
 def test_each_form_of_the_field_has_one_definition() -> None:
