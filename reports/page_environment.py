@@ -10,6 +10,7 @@ from typing import ClassVar
 
 from jinja2 import Environment, PackageLoader, StrictUndefined
 
+from kinedex.ops.intervals import in_seconds, shown_seconds
 from kinedex.pipelines.engine.context import StageContext
 from kinedex.pipelines.engine.page_files import write_page
 from kinedex.pipelines.engine.stage import Parameters, Stage
@@ -20,7 +21,8 @@ from kinedex.storage.store.store import Store
 def page_environment(filters: Mapping[str, Callable[..., object]] | None = None) -> Environment:
     """Return the environment of the templates in `reports/pages`, with the filters of a page.
 
-    Values are escaped, and an undefined name in a template is an error.
+    Values are escaped, and an undefined name in a template is an error. All pages have the filters `seconds` and
+    `in_seconds`, which convert frames to seconds as a text and as a number.
     """
     environment = Environment(
         loader=PackageLoader("kinedex.reports", "pages"),
@@ -29,7 +31,7 @@ def page_environment(filters: Mapping[str, Callable[..., object]] | None = None)
         trim_blocks=True,
         lstrip_blocks=True,
     )
-    environment.filters.update(filters or {})
+    environment.filters.update({"seconds": shown_seconds, "in_seconds": in_seconds, **(filters or {})})
     environment.globals["thesis_names"] = THESIS_NAMES
     return environment
 
