@@ -13,11 +13,13 @@ import numpy as np
 import pytest
 
 from kinedex.ops.errors import SourceError
+from kinedex.storage.formats.labels.formats import FORMATS
+from kinedex.storage.formats.motion.reader_table import reader_of, readers_by_ending
 from tests.fuzz import hunt as hunting
 from tests.fuzz.hunt import Mutator, attempt, hunt, mutant
 from tests.fuzz.mutations import flip_bytes
 from tests.fuzz.structure import change_structure
-from tests.fuzz.targets import TARGETS, Broken, Target
+from tests.fuzz.targets import TARGETS, Broken, Target, check_ground_truth
 
 CASES: dict[Mutator, int] = {"bytes": 25, "structure": 8}
 
@@ -31,6 +33,24 @@ def test_seeds_are_read_and_mutants_are_read_or_refused(tmp_path: Path, name: st
         for case in range(cases):
             outcome = attempt(target, tmp_path / f"{mutator}{case}{target.ending}", mutant(target, 1, case, mutator))
             assert outcome in ("read", "refused"), f"{name}, {mutator}, seed 1, case {case}\n{outcome}"
+
+
+def test_every_reader_of_motion_files_has_a_target(tmp_path: Path) -> None:
+    """A seed of some target is a file that the reader reads; `make fuzz` would leave a reader without one alone."""
+    readers, read = readers_by_ending(), set()
+    for name, target in TARGETS.items():
+        if target.ending in readers:
+            path = tmp_path / f"{name}{target.ending}"
+            path.write_bytes(next(iter(target.seeds().values())))
+            read.add(type(reader_of(path)))
+    built_in = {type(reader) for own in readers.values() for reader in own if not reader.distribution}
+    assert len(built_in) >= 15
+    assert built_in <= read
+
+
+def test_every_format_of_label_files_has_a_target() -> None:
+    checked = {target.ending for target in TARGETS.values() if target.check is check_ground_truth}
+    assert {f".{ending}" for ending in FORMATS} <= checked
 
 
 def test_the_same_seed_makes_the_same_mutants() -> None:

@@ -18,6 +18,7 @@ from kinedex.pipelines.annotation import single_examples
 from kinedex.pipelines.annotation.annotators import Annotator, make_annotator
 from kinedex.pipelines.annotation.earlier_annotations import setting_digest
 from kinedex.pipelines.annotation.methods import BestMethod
+from kinedex.pipelines.annotation.parameters import AnnotationParameters
 from kinedex.pipelines.engine.context import StageContext
 from kinedex.pipelines.stages import annotate
 from kinedex.pipelines.stages.annotate import Annotate
@@ -231,6 +232,52 @@ def test_every_part_of_an_annotator_decides_its_hash():
     assert len(digests) == len(others)
     assert setting_digest(one, True, "a") not in digests
     assert setting_digest(one, False, "a") != setting_digest(one, True, "a") != setting_digest(one, True, "b")
+
+
+CHANGES: dict[str, dict[str, object]] = {
+    "method": {"method": "best"},
+    "templates": {"templates": "hard", "delta": 0.3},
+    "delta": {"delta": 0.3},
+    "tau": {"tau": 0.1},
+    "tau_by_class": {"tau_by_class": {"walk": 0.05}},
+    "min_seconds": {"min_seconds": 0.2},
+    "queries": {"queries": "QUERIES"},
+    "classes": {"classes": "CLASSES"},
+    "each_example": {"method": "best", "each_example": True},
+    "store_curves": {"store_curves": False},
+}
+"""Every parameter with a value that changes what is stored of a take, beside others that make it matter."""
+
+WITHOUT_EFFECT_ON_A_TAKE = {"where": "it selects takes, and the annotation of a take does not depend on the others"}
+"""Parameters after whose change a take that was annotated before keeps its annotation, each with the reason."""
+
+
+def test_every_parameter_of_an_annotation_decides_whether_takes_are_annotated_again() -> None:
+    assert {*CHANGES} | {*WITHOUT_EFFECT_ON_A_TAKE} == {*AnnotationParameters.model_fields}
+
+
+@pytest.mark.parametrize("name", CHANGES)
+def test_a_changed_parameter_annotates_takes_again(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, name: str) -> None:
+    files = {"QUERIES": tmp_path / "queries.yaml", "CLASSES": tmp_path / "classes.yaml"}
+    files["QUERIES"].write_text("kick:\n  keyframes: [{set: upper, pattern: '****111*******'}]\n")
+    files["CLASSES"].write_text("legs: [walk, kick]\n")
+    changes = {
+        key: str(files[value]) if value in ("QUERIES", "CLASSES") else value for key, value in CHANGES[name].items()
+    }
+    unlike = {**clip("walk", "eve", 1), "words": motion("walk") ^ np.uint64(1)}  # a soft value between 0 and 1
+    line = KnownLine(write_store(tmp_path / "store", [*CLIPS, unlike, *OLD]), "serial")
+    line.run(LearnTemplates, methods=["soft", "hard"])
+    found = []
+
+    def recorded(annotator: Annotator, store_curves: bool, code: str) -> str:
+        found.append(setting_digest(annotator, store_curves, code))
+        return found[-1]
+
+    monkeypatch.setattr(annotate, "setting_digest", recorded)
+    without = {key: value for key, value in changes.items() if key != name}
+    for params in (without, without, changes):
+        line.run(Annotate, **params)
+    assert found[0] == found[1] != found[2]
 
 
 def _classes() -> Classes:
