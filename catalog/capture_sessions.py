@@ -1,4 +1,4 @@
-"""Compare the takes of a capture session: what contradicts the others is suspect, and what is open they decide.
+"""Compare the takes of a capture session, to warn of contradictions and to decide what a file leaves open.
 
 One file alone cannot show that its scale or its rate is wrong where a person of that size could move so; the files
 that were recorded with it can. Files of one folder, format, skeleton file and person are a session. It decides

@@ -101,7 +101,10 @@ def show_effect(archive: Archive, asked: EditRequest, _request: Request, progres
 
 
 def _divided(costs: tuple[F64, F64] | None) -> Row | None:
-    """Return F of each threshold between the training clips of the class and all others; None without their costs."""
+    """Return F as a function of the threshold that divides training clips of the class from others, or None.
+
+    The result is None if the costs of the clips are not known.
+    """
     best = dividing_threshold(costs)
     if costs is None or best is None:
         return None
@@ -165,7 +168,7 @@ def _judged(prepared: Prepared, edit: Edit, compete: bool, best: dict[str, float
 
 
 def _wanted(prepared: Prepared, edit: Edit, best: dict[str, float | None]) -> list[Row]:
-    """Return the rows of the table, yet without scores: each a template and a threshold, which may be None."""
+    """Return the rows of the table without their scores; each has a template and a threshold, which may be None."""
     pairs: list[tuple[str, str, float | None]]
     if not prepared.use.uses_thresholds:
         pairs = [("learned", "pipeline", None), *([("edited", "used", None)] if edit.template else [])]

@@ -117,7 +117,7 @@ def __getattr__(name: str) -> object:
 
 
 def _installed_version() -> str:
-    """Return the version of the installed distribution, or 0 if none is installed."""
+    """Return the version of the installed distribution, or "0+unknown" if none is installed."""
     from importlib.metadata import PackageNotFoundError, version
 
     try:

@@ -27,7 +27,7 @@ def cancelled_when(test: Callable[[], bool]) -> Iterator[None]:
     Parameters
     ----------
     test : callable
-        A function that is called often, from the threads of the work; threads inherit the context of their starter.
+        A function that is called often, in the thread that enters this context; other threads do not call it.
 
     Examples
     --------

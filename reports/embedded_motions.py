@@ -236,7 +236,7 @@ def parents_of(joints: Sequence[str]) -> tuple[int, ...]:
 
 
 def _whole(store: Store, joints: Sequence[str], takes: Mapping[str, Sequence[str]]) -> Iterator[EmbeddedMotion]:
-    """Yield the motion of each take, concatenated from the takes of the store of which it is composed."""
+    """Yield the motion of each take; a take that consists of several takes of the store is concatenated."""
     names = list(takes)
     for first in range(0, len(names), _TOGETHER):
         some = names[first : first + _TOGETHER]

@@ -1,4 +1,4 @@
-"""Make temporary folders that are removed for sure: those of a process that was killed by the next process."""
+"""Make temporary folders; if a process is killed, the next process removes its folders."""
 
 from __future__ import annotations
 

@@ -335,7 +335,7 @@ class Query:
 
 
 def _chosen(found: list[AnyQuery], name: str | None, where: str) -> AnyQuery:
-    """Return the query of a name, or the only one."""
+    """Return the query with the given name; without a name, return the only query."""
     by_name = {query.name: query for query in found}
     if name is None and len(found) != 1:
         raise KinedexError(f"{where} has {len(found)} queries; pass `name`: {', '.join(by_name)}")

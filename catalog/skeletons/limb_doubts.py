@@ -1,4 +1,4 @@
-"""Doubt limbs that no body has: of no length, of unequal length on both sides, or with joints of the other side."""
+"""Find implausible limbs, which have no length, unequal lengths on the two sides, or joints of the other side."""
 
 from __future__ import annotations
 
@@ -85,7 +85,10 @@ def _lengths(at: Distances) -> Iterator[str]:
 
 
 def _exchanged(at: Distances) -> Iterator[str]:
-    """Yield a clause for each pair of joints whose distance from the other side is constant, and from its own is not.
+    """Yield a clause for each pair of limbs whose outer joints seem to be exchanged between left and right.
+
+    The distance of such a joint from the inner joint of the other limb is constant, while that from its own inner joint
+    varies.
 
     Limbs that merely cross are not doubted, as the lengths of their bones stay the same.
     """
@@ -100,5 +103,5 @@ def _exchanged(at: Distances) -> Iterator[str]:
 
 
 def _shares(found: list[tuple[float, float]]) -> list[float]:
-    """Return the ranges of distances as shares of these."""
+    """Return the variation of each distance as a fraction of the distance."""
     return [spread / length for length, spread in found if length > 0]

@@ -95,7 +95,9 @@ def _single(fit: Fit, joint: str) -> int | None:
 
 
 def limb_markers(source: str | Path, fit: Fit, landmarks: Landmarks | None = None) -> dict[str, tuple[int, ...]]:
-    """Return the markers on each limb that has three or more: as the mapping names them, else by landmarks.
+    """Return the markers of each limb that has at least three.
+
+    A limb has the markers that the mapping names for it or, if it names none, those on landmarks of the limb.
 
     Parameters
     ----------

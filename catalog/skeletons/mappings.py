@@ -152,7 +152,7 @@ class Mappings:
         return _best(source, fits)
 
     def _only_names(self, mapping: SkeletonMapping) -> bool:
-        """Return whether a shipped, not forced mapping has an `order`, which names the points of files without names.
+        """Return whether a mapping is shipped, not forced, and has an `order` that names the points of nameless files.
 
         For such a mapping the body is recognised from these names.
         """

@@ -53,7 +53,10 @@ def mirrored_nodes(source: str | Path, names: Sequence[str], parents: Sequence[i
 
 
 def _sides(names: Sequence[str], parents: Sequence[int], fit: Fit) -> list[str]:
-    """Return the side of each node, empty in the middle: that of the mapped nodes at or below it, else of its name."""
+    """Return the side of each node, which is empty for a node in the middle.
+
+    A node has the side of the mapped nodes at or below it; if there are none, its name decides.
+    """
     below: list[set[str]] = [set() for _ in names]
     for joint, mix in fit.joints.items():
         if mix is not None and mix.node is not None and (i := fit.indices[mix.node]) < len(names):
@@ -73,7 +76,10 @@ def _sides(names: Sequence[str], parents: Sequence[int], fit: Fit) -> list[str]:
 def _partners(
     source: str | Path, left: list[int], right: list[int], names: Sequence[str], words: Sequence[NodeName]
 ) -> list[tuple[int, int]]:
-    """Return the pairs of nodes of the two sides: by their names without the side, else in the order of the file."""
+    """Return the pairs of corresponding left and right nodes.
+
+    Nodes are paired by their names without the side; if these do not match, in the order of the file.
+    """
     keys = [{(words[i].key, words[i].ordinals, words[i].end): i for i in side} for side in (left, right)]
     if keys[0].keys() == keys[1].keys() and len(keys[0]) == len(left) == len(right):
         return [(i, keys[1][key]) for key, i in keys[0].items()]

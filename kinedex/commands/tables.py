@@ -45,7 +45,10 @@ LimitOption = Annotated[
 
 
 class _SqlCommand(Command):
-    """A command whose statement may begin with a comment; two dashes and white space before any = are no option."""
+    """A command whose SQL statement may begin with a comment.
+
+    A word that begins with two dashes is a comment and not an option if white space comes before any equals sign.
+    """
 
     def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
         if "--" not in args:

@@ -293,7 +293,10 @@ def _spine(sampled: F64, at: I64, there: Bool) -> float:
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def _neck(sampled: F64, at: I64, there: Bool) -> float:
-    """Return the median height of the neck above the shoulders' midpoint along the trunk, of hanging arms if any."""
+    """Return the median height of the neck above the midpoint of the shoulders, measured along the trunk.
+
+    Only frames with hanging arms count, if there are any.
+    """
     frames = sampled.shape[2]
     above, hanging = np.empty(frames), np.zeros(frames, np.bool_)
     elbows = there[_LELBOW] and there[_LELBOW + 1]
@@ -368,9 +371,10 @@ def _swung(positions: F64, at: I64) -> F64:
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def _speeds(positions: F64, known: Bool, rate_hz: float) -> tuple[float, int, int, int, float, int, int, int]:
-    """Return the sum and count of speeds, repeated frames, steps, the largest speed with joint and frame, and a bin.
+    """Return statistics of the speeds of all joints.
 
-    The last number is the bin of the histogram of speeds that contains the 99th percentile.
+    These are the sum and the number of speeds, the number of repeated frames, the number of steps between known frames
+    (at least 1), the largest speed with its joint and frame, and the bin of the 99th percentile in the histogram.
     """
     joints, _, frames = positions.shape
     total, counted, fastest, joint, frame = 0.0, 0, 0.0, 0, 0

@@ -203,7 +203,11 @@ def _places(runs: WordRuns, mirrored: U64 | None, length: int, asked: Bool) -> _
 
 @nb.njit(cache=True, nogil=True)
 def _votes_with(take: I64, image: Bool, asked: Bool, i: int, j: int) -> bool:
-    """Return whether two occurrences vote: takes differ, one is requested, and one is mirrored if `image` is given."""
+    """Return whether two occurrences vote for an alignment.
+
+    They vote if they are in different takes, one of which is requested, and, where `image` is given, exactly one of the
+    occurrences is mirrored.
+    """
     if take[i] == take[j] or not (asked[take[i]] or asked[take[j]]):
         return False
     return len(image) == 0 or image[i] != image[j]

@@ -168,7 +168,7 @@ class Score:
         return x, z, yaw
 
     def room(self, x: float, z: float) -> tuple[float, float]:
-        """Convert a position to the left of (x) and in front of (z) the anchor to world coordinates."""
+        """Return the world coordinates of a position given relative to the anchor: x to the left, z to the front."""
         ox, oz, yaw = self.anchor
         s, c = math.sin(math.radians(yaw)), math.cos(math.radians(yaw))
         return ox + x * c + z * s, oz - x * s + z * c

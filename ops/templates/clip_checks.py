@@ -1,4 +1,4 @@
-"""Check the clips of a class: too few, of very different length, or one unlike all others."""
+"""Find faults in the clips of a class: too few clips, very different lengths, or a clip unlike all others."""
 
 from __future__ import annotations
 

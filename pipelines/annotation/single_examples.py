@@ -162,7 +162,7 @@ class SingleExamples:
 
     @classmethod
     def prepare(cls, templates: ClassTemplates, clips: Callable[[], Sequence[U64]]) -> SingleExamples:
-        """Make the method without examples: every given template counts as one."""
+        """Make the method from templates alone, each of which is treated as an example."""
         return cls(BestMethod.prepare(templates, clips), np.arange(len(templates.learned)))
 
     def restricted(self, known: int, templates: Sequence[QuantisedTemplate], chosen: I64) -> SingleExamples:

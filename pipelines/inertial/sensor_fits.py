@@ -228,7 +228,7 @@ def fit_together(task: FitTask) -> list[SensorFit]:
 
 
 def _with_mount(one: _Worn, fits: Mapping[str, StreamFit], source: str, foreign: bool) -> _Worn:
-    """Return the sensor unchanged if the given calibration has its mount; else without its stream, with the reason."""
+    """Return a sensor unchanged if its mount is given; otherwise return it without its stream, with the reason."""
     if one.left_out:
         return one
     reason = ""

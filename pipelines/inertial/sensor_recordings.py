@@ -173,7 +173,10 @@ def find_recordings(
 def _with_made(
     groups: Mapping[tuple[str, str], list[Path]], made: Mapping[str, Sequence[str]]
 ) -> dict[tuple[str, str], list[Path]]:
-    """Return files by take and recording; takes made from a camera recording get its files if they have no folder."""
+    """Add the takes that were made from a camera recording to files by take and recording.
+
+    Such a take has the files of the recording, unless it has files in a folder with its own name.
+    """
     own = {take for take, _ in groups}
     found = dict(groups)
     for (take, name), files in groups.items():

@@ -129,7 +129,7 @@ def _first_fits(streams: list[Stream], magnetometers: bool) -> list[StreamFit]:
 
 
 def _fitted(fits: list[StreamFit]) -> float:
-    """Return the number of frames that fits explain."""
+    """Return the number of inlier frames of all accepted fits."""
     return sum(fit.inliers * fit.frames for fit in fits if not fit.refused)
 
 

@@ -154,7 +154,13 @@ class Sources:
         return dict(self._rows[take_id])
 
     def _task(self, row: Mapping[str, Any]) -> tuple[int, Task]:
-        """Return the index of the ingest settings and the task that reads a take again; raise an error if none can."""
+        """Return the task that reads a take again, and the index of the ingest settings that it uses.
+
+        Raises
+        ------
+        KinedexError
+            The take cannot be read again; the message has the reason.
+        """
         path = Path(row["source_root"]) / row["source"]
         if row["format"] in RECORDED_FORMATS:
             raise KinedexError(

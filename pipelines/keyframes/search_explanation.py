@@ -112,7 +112,7 @@ class QueryReport:
     frames_searched : int
         The number of frames of all takes that were searched.
     milliseconds : float
-        The time of the search in the lists, which is done for the explanation only.
+        The time of a search in the inverted lists, which is made for the explanation only.
     times : Times
         The times of the other steps.
     """

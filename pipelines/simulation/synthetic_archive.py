@@ -226,7 +226,7 @@ def _write_skeletons(folder: Path, actors: int, seed: int) -> int:
 
 
 def _plan(minutes: float, actors: int, seed: int, clip_minutes: float) -> list[_Task]:
-    """Divide the duration: clips cycle through motions and actors until their share is used; takes fill the other."""
+    """Plan clips and takes: clips of all motions and actors fill `clip_minutes`, long takes the remaining time."""
     clips: list[_Task] = []
     left = clip_minutes * 60.0
     number = 0

@@ -49,7 +49,7 @@ class Evaluate(Stage[GroundTruthParameters]):
         return ground_truth_digest(params, store)
 
     def run(self, context: StageContext, params: GroundTruthParameters) -> dict[str, object]:
-        """Evaluate, store the metrics, and print them."""
+        """Evaluate, store the metrics, and show them."""
         report = context.report_file("metrics.json")
         store = context.open()
         takes = annotated_takes(store, context.key(context.inputs["annotations"]))

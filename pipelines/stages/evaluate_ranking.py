@@ -72,7 +72,7 @@ class EvaluateRanking(Stage[Params]):
             return "none to be read"
 
     def run(self, context: StageContext, params: Params) -> dict[str, object]:
-        """Evaluate the rankings, print a table for takes and one for clips, and store the results."""
+        """Evaluate the rankings, show a table for takes and one for clips, and store the results."""
         store = context.open()
         summary: dict[str, object] = {"tau": params.tau, "delta": params.delta}
         judged: list[EvaluatedRanking] = []

@@ -52,7 +52,7 @@ class Rank(Stage[Params]):
         return files_digest(query_file_paths(params.queries))
 
     def run(self, context: StageContext, params: Params) -> dict[str, object]:
-        """Rank the archive, store the hits, and print a row for each class (thesis, Table 3.2)."""
+        """Rank the archive, store the hits, and show a row for each class (thesis, Table 3.2)."""
         store = context.open()
         learned = read_templates(store, context.key(context.inputs["templates"]), params.templates)
         queries = read_query_files(params.queries, store.feature_set, store.rate_hz)

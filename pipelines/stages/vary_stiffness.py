@@ -63,7 +63,7 @@ class VaryStiffness(Stage[Params]):
         return files_digest(files)
 
     def run(self, context: StageContext, params: Params) -> dict[str, object]:
-        """Rank with every variant of the queries, print a row for each, and store precision and recall."""
+        """Rank with every variant of the queries, show a row for each, and store precision and recall."""
         store = context.open()
         learned = read_templates(store, context.key(context.inputs["templates"]), params.templates)
         queries = read_query_files(params.queries, store.feature_set, store.rate_hz)

@@ -146,7 +146,17 @@ class _Pass:
         return np.array([rank_of[name] for name in names], np.int64)
 
     def rank(self, templates: Sequence[RankedTemplate], first: Sequence[float], reading: float) -> list[Ranking]:
-        """Rank the takes by templates; `first` has a threshold for each, `reading` the seconds spent before."""
+        """Rank the takes by templates.
+
+        Parameters
+        ----------
+        templates : sequence of RankedTemplate
+            The templates.
+        first : sequence of float
+            The threshold of each template with which the ranking begins.
+        reading : float
+            The seconds that were spent on reading before, to be added to those of the ranking.
+        """
         best = [Hits.none() for _ in templates]
         seconds = np.zeros(len(templates))
         # Once `top` hits are known, a hit above the last of them cannot enter. The others do not change, because

@@ -69,7 +69,7 @@ class ChainTracker:
 
     @property
     def carries_over(self) -> bool:
-        """True for silhouettes alone, where priors can lower the costs; with rays they only raise the costs."""
+        """True if a prior also changes later frames and can lower their costs, as with silhouettes alone."""
         return self.observed.observations is None
 
     def first(self) -> Track:

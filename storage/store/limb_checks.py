@@ -221,7 +221,10 @@ def limb_error_problems(store: Snapshot) -> Iterator[tuple[str, str]]:
 
 
 def _error_problem(stage: str, rows: pa.Table, frames: dict[tuple[str, int, str], int]) -> str:
-    """Return the problem of rows of errors; count frames in `frames`, as a limb may continue in the next rows."""
+    """Return the problem of some rows of errors; empty if there is none.
+
+    The frames of each limb are counted in `frames`, because the rows of a limb may continue in the next call.
+    """
     for name in _ANGLES:
         values = pc.drop_null(rows.column(name)).to_numpy()
         if not ((values >= 0.0) & (values <= 180.0 + 1e-6)).all():

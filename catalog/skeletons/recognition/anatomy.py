@@ -1,4 +1,4 @@
-"""The parts of a body in a tree: which pair of branches are the legs, which the arms, and what lies between them.
+"""Find the parts of a body in a tree: the branches that are legs and arms, and the nodes between them.
 
 Left and right are found by names, and by the direction in which feet point and knees bend.
 """
@@ -61,7 +61,10 @@ class Anatomy:
 
 
 def find_anatomies(tree: Tree) -> list[Anatomy]:
-    """Return the bodies that a tree may be, the best first: whole ones, and halves whose names leave no doubt."""
+    """Return the bodies that a tree may represent, the best first.
+
+    If no whole body is likely, bodies with only legs or only arms are included, provided that names identify the limbs.
+    """
     legs, arms = limb_pairs(tree, LEG), limb_pairs(tree, ARM)
     found = [
         body for leg in legs for arm in arms if _apart(tree, leg, arm) and (body := _whole(tree, leg, arm)) is not None
@@ -146,7 +149,7 @@ def _trunk_and_head(
 
 
 def _from_hips(hips: int, common: int, line: list[int]) -> tuple[int, ...]:
-    """Return the trunk so that it begins at the hips."""
+    """Return the nodes of the trunk, beginning at the hips."""
     if hips in line:
         return tuple(line[line.index(hips) :])
     return (hips, *(node for node in line if node != common)) if hips != common else tuple(line)
@@ -217,8 +220,9 @@ class Sides:
 def find_sides(tree: Tree, body: Anatomy) -> Sides:
     """Find the left limbs of a body.
 
-    Names decide where there are any. In a nameless tree left is where up (from the ankle to the hip) and ahead (where
-    the feet point and the knees bend) put it in right-handed axes.
+    The names of the limbs decide, if they state sides. Otherwise, left follows from the upward and the forward
+    direction in right-handed axes: up is the direction from ankle to hip, and forward is where feet point and knees
+    bend.
     """
     legs, arms = _ordered(tree, body.legs), _ordered(tree, body.arms)
     named = any(_stated(tree, limbs) for limbs in (legs, arms))
@@ -261,7 +265,7 @@ def _along(tree: Tree, legs: tuple[Limb, Limb], arms: tuple[Limb, Limb]) -> floa
 
 
 def _facing(tree: Tree, legs: tuple[Limb, Limb]) -> float:
-    """Return the mean cosine of the line from right hip to left hip with the left direction by feet and knees."""
+    """Return the mean cosine between the line from the right to the left hip and left, as feet and knees show it."""
     across = _unit(tree.positions[legs[0].nodes[0]] - tree.positions[legs[1].nodes[0]])
     total, weight = 0.0, 0.0
     for leg in legs:

@@ -1,4 +1,4 @@
-"""Find labels that seem to be exchanged among the points of a body: its two sides are alike, and its front is in front.
+"""Find labels of a body's points that seem to be exchanged, by comparing left with right and front with back.
 
 A body with two labels exchanged is still a body, so that proportions alone do not show it. Points of one side are
 compared with those of the other, points in the middle with both, and the direction in which the sides say that the body

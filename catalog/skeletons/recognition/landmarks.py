@@ -216,7 +216,7 @@ class Landmarks:
         return hits
 
     def mixes(self, joint: str, labels: Mapping[str, tuple[str, ...]]) -> dict[Mix, Choice]:
-        """Return the mixes of labels that make a joint, best first, with the choice of which each is made.
+        """Return the mixes of labels from which a joint can be computed, best first, each with its choice.
 
         Parameters
         ----------
@@ -234,7 +234,7 @@ class Landmarks:
         return dict(list(mixes.items())[:_MAX_CHOICES])
 
     def _marked(self, choice: Choice, labels: Mapping[str, tuple[str, ...]]) -> Choice:
-        """Return a choice with the phrase of the first of its points that is estimated, unless it has one itself."""
+        """Return a choice, marked as estimated with the phrase of the first estimated point that it uses, if any."""
         for name in [name for name, _ in choice.weights if name not in labels]:
             way = next(way for way in self.points[name] if all(self._ways(part, labels) for part, _ in way.weights))
             marked = self._marked(way, labels)

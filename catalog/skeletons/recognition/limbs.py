@@ -175,7 +175,10 @@ class _Branch:
 
 
 def _joint(tree: Tree, path: Sequence[int], at: int) -> float:
-    """Return the cost of a node within a bone: of one without a name, more if it bends, and of one named as a joint."""
+    """Return the cost of a node within a bone.
+
+    A node without a name costs something, and more if the bone bends there; so does a node that is named as a joint.
+    """
     if not 0 < at < len(path) - 1:
         return 0.0
     parts = set(tree.parts[path[at]])
@@ -201,7 +204,7 @@ def _named_parts(
 def _named(
     names: Sequence[NodeName], parts: Sequence[tuple[str, ...]], at: int, part: str, kind: Sequence[str]
 ) -> float:
-    """Return how well the name of one node fits a part: up to 1, and below 0 if it names another one."""
+    """Return how well the name of a node fits a part, at most 1; negative if the name means another part or node."""
     name, own = names[at], parts[at]
     if name.end and any(part in others and not other.end for other, others in zip(names, parts, strict=True)):
         return -1.0

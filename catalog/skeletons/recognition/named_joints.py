@@ -122,9 +122,9 @@ def polyline_point(lengths: Sequence[float], share: float) -> tuple[int, float]:
 
 
 def _restore_thorax(found: JointMixes, tree: Tree, body: Anatomy, sides: Sides) -> float:
-    """Give a thorax to a trunk that lacks it, as CMU's in BVH does, and return its length; 0 if nothing is missing.
+    """Add a thorax to a trunk without one, as in CMU's BVH files, and return its length; 0 if none is missing.
 
-    It carries on the curve of the spine, as `configs/skeletons/cmu-bvh.yaml` explains.
+    The thorax continues the curve of the spine, as `configs/skeletons/cmu-bvh.yaml` explains.
     """
     spine = [node for node in body.trunk[1:] if tree.lengths[node] > 0]
     tops = [body.head[0], *(arm.path[0] for arm in sides.arms or ())] if body.head else []
@@ -288,7 +288,7 @@ def _add_fingers(found: JointMixes, tree: Tree, side: str, arm: Limb) -> None:
 
 
 def _knuckles(tree: Tree, nodes: Sequence[int], wrist: int, forearm: float) -> list[int]:
-    """Return the knuckle of the middle finger among fingers without names of their own: that in the middle of the row.
+    """Return the knuckle of the middle finger, which is in the middle of the row, among fingers without names.
 
     The nodes themselves are returned where there are fewer than three fingers.
     """

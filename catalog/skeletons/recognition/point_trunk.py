@@ -52,14 +52,14 @@ class BodyDraft:
         return self.made[mix]
 
     def set(self, joint: str, *mixes: Mix | None, how: str = "", rough: bool = False) -> None:
-        """Give a joint its alternatives if it has none, and record how it is estimated, and whether roughly."""
+        """Set the alternatives of a joint that has none yet, and `mark` how the joint is estimated."""
         found = [mix for mix in mixes if mix is not None]
         if found and joint not in self.joints:
             self.joints[joint] = found
             self.mark(joint, how, rough)
 
     def mark(self, joint: str, how: str, rough: bool = False) -> None:
-        """Record how a joint is estimated, if `how` is not empty, and whether roughly."""
+        """Record that a joint is estimated, and how, unless `how` is empty; `rough` marks a rough estimate."""
         if how:
             self.estimated[joint] = how
             if rough:
@@ -84,7 +84,7 @@ def one_point(label: str) -> Mix:
 
 
 def mean_of(labels: Sequence[str]) -> Mix | None:
-    """Return the mean of points; None without any."""
+    """Return the mean of points; None if there are no points."""
     return Mix(tuple((label, 1.0 / len(labels)) for label in labels)) if labels else None
 
 
@@ -152,7 +152,7 @@ def add_head(draft: BodyDraft, of: Mapping[str, str]) -> None:
 
 
 def add_trunk(draft: BodyDraft, reading: Reading) -> None:
-    """Fill in the trunk: points of the spine by arc length, or the straight line; knees from clusters of markers."""
+    """Add the missing joints of the trunk, on the spine or a straight line, and knees between clusters of markers."""
     for side in SIDES:
         _knee_between_clusters(draft, reading, side)
     if "root" not in draft.joints or "neck" not in draft.joints:

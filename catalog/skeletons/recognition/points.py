@@ -111,7 +111,7 @@ def doubted_labels(fit: Fit, evidence: Evidence, joints: tuple[str, ...], landma
 
 @np.errstate(over="ignore", invalid="ignore")  # Absurd numbers are refused later.
 def _recognised(evidence: Evidence, joints: tuple[str, ...], form: Format, landmarks: Landmarks) -> tuple[Fit, str]:
-    """Return the best fit, and why it is no body; an empty text if it is one."""
+    """Return the best fit, and the reason why the points are no body; the reason is empty if they are one."""
     reading = landmarks.read(evidence.names)
     index = {name: i for i, name in enumerate(evidence.names)}
     draft = BodyDraft({name: evidence.positions[i] for name, i in index.items()})
@@ -176,7 +176,7 @@ def _depth(made: Mapping[str, Sequence[Mix]], joint: str) -> int:
 
 
 def _refusal(draft: BodyDraft, reading: Reading, proportions: Proportions) -> str:
-    """Return why these points are no body; an empty text if they are one."""
+    """Return the reason why these points are no body; empty if they are one."""
     legs = [joint for joint in _LEGS if joint in draft.joints]
     arms = [joint for joint in _ARMS if joint in draft.joints]
     if not (
@@ -190,7 +190,7 @@ def _refusal(draft: BodyDraft, reading: Reading, proportions: Proportions) -> st
 
 
 def _found(draft: BodyDraft, reading: Reading, evidence: Evidence) -> str:
-    """Return a clause that lists what was found and what was not, and the way out."""
+    """Return a clause that lists known labels, unknown labels and the joints found, and suggests a remedy."""
     named = sorted(f"{landmark} ({', '.join(labels[:2])})" for landmark, labels in reading.labels.items())
     shown = ", ".join(named[:8]) + (f" and {len(named) - 8} more" if len(named) > 8 else "")
     unread = ", ".join(reading.unread[:8]) + (" …" if len(reading.unread) > 8 else "")

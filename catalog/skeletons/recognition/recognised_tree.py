@@ -102,7 +102,7 @@ def propose_tree(
 def _recognised(
     evidence: Evidence, joints: Sequence[str], form: Format, vocabulary: Vocabulary, source: Path
 ) -> tuple[Fit, str]:
-    """Return the best fit, and why it cannot be used; an empty text if it can."""
+    """Return the best fit, and the reason why it cannot be used; the reason is empty if it can be used."""
     tree = build_tree(evidence, vocabulary)
     positions = {name: i for i, name in enumerate(evidence.names)}
     bodies = find_anatomies(tree)
@@ -150,7 +150,7 @@ def _fit(
 
 
 def _upright(fit: Fit, tree: Tree, evidence: Evidence) -> tuple[Fit, str, bool]:
-    """Return the fit with the vertical axis that the file states or the body shows, the reason, and if it is clear."""
+    """Return the fit with its vertical axis set, a sentence about this axis, and whether the axis is certain."""
     if evidence.up is not None:
         return fit, f"{evidence.up} is up, as the file states", True
     judged = judged_up(*joint_positions(fit, tree.positions, tree.rest))
@@ -163,7 +163,7 @@ def _upright(fit: Fit, tree: Tree, evidence: Evidence) -> tuple[Fit, str, bool]:
 
 
 def _root_axes(tree: Tree, body: Anatomy, sides: Sides, axes: F64) -> F64:
-    """Return the axes of the root node in the rest pose, each the nearest of the file's; `axes` if unclear."""
+    """Return the root's axes at rest, each rounded to the nearest axis of the file; `axes` if they are not clear."""
     limbs = sides.legs or sides.arms
     if limbs is None or not (body.trunk[1:] or body.head):
         return axes
@@ -258,7 +258,7 @@ def _proportions(tree: Tree, body: Anatomy) -> float:
 
 
 def _fault(tree: Tree, bodies: Sequence[Anatomy], confidence: float, animal: frozenset[str]) -> str:
-    """Return why the best body cannot be used; an empty text if it can."""
+    """Return the reason why the best body cannot be used; empty if it can be used."""
     body = bodies[0]
     if _on_four_legs(tree, body):
         return "not human (its trunk lies between four legs)"
@@ -299,7 +299,7 @@ def _cosine(a: F64, b: F64) -> F64:
 
 
 def _missing_parts(tree: Tree) -> str:
-    """Return why no body is found at all."""
+    """Return the reason why no body is found at all."""
     named = {part for parts in tree.parts for part in parts}
     limbs = named & {"thigh", "calf", "foot", "upperarm", "forearm", "hand"}
     if len(limbs) >= 3:

@@ -140,7 +140,10 @@ def build_tree(evidence: Evidence, vocabulary: Vocabulary) -> Tree:
 
 
 def _used(parts: tuple[tuple[str, ...], ...], parents: tuple[int, ...]) -> list[bool]:
-    """Return whether each node may be part of a limb: it is none of the others, or a node below it has a core name."""
+    """Return whether each node may be part of a limb.
+
+    Nodes named as one of `ASIDE`, and all nodes below them, may not, unless a node further down has a core name.
+    """
     used = [True] * len(parts)
     core = [False] * len(parts)
     for i in range(len(parts) - 1, -1, -1):

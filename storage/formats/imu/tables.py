@@ -277,7 +277,10 @@ def _numeric(cells: Sequence[str], separator: str) -> bool:
 
 
 def _joined(rows: Sequence[Sequence[str]]) -> tuple[list[str], list[str]]:
-    """Return each column's name, its header rows joined by "/", and its unit if the last row has units."""
+    """Return the name of each column, which is its header rows joined by "/", and the unit of each column.
+
+    Units are empty unless the last header row consists of units.
+    """
     width = max(map(len, rows))
     padded = [[*row, *[""] * (width - len(row))] for row in rows]
     units = [""] * width

@@ -198,7 +198,7 @@ def write_labels(
 
 
 def _with_limbs(takes: Sequence[LabelsOfTake]) -> list[LabelsOfTake]:
-    """Return labels that list an annotator of a whole take for each limb that occurs in any of the labels' takes."""
+    """Return labels in which annotators who examined whole takes are listed for each limb that any label mentions."""
     limbs = {one.limb for labels in takes for one in labels.labels if one.label == ERROR}
     limbs |= {limb for labels in takes for limb, _ in labels.covered}
     return [

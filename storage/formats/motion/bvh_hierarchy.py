@@ -283,7 +283,7 @@ def name_joints(joints: list[BvhJoint]) -> list[str]:
 
 
 def _free(name: str, mark: str, used: dict[str, int]) -> str:
-    """Return the name itself, or with the next free number after it if it is in use."""
+    """Return the name if it is unused, otherwise the name followed by the next free number."""
     free = name
     while free in used:
         used[name] += 1

@@ -1,4 +1,4 @@
-"""Cut intervals out of motion files of any format: what is cut and changed, its checks, and the rows of a text.
+"""Define and check cuts of intervals from motion files of any format, and read the rows of text files.
 
 The numbers of a cut keep the text of the source, byte by byte, unless a change applies to them.
 """
@@ -186,14 +186,14 @@ _LINE_END = re.compile(rb"\r\n?|\n")
 
 
 class TextRows:
-    """The rows, or the frames of several lines, of a motion file.
+    """The frames of a motion file in text, each of one line or of several lines.
 
     Parameters
     ----------
     path : Path
         The file.
     start : int
-        The byte after which they begin.
+        The byte after which the frames begin.
     numbered : bool
         True for frames that begin with a line for their number, as in AMC files; False for one row per line.
     cut : callable

@@ -296,7 +296,7 @@ def _in_configs(path: Path) -> bool:
 
 
 def unit_source(fit: Fit, in_file: bool) -> str:
-    """Return the words for what states a unit of length that may be replaced; empty for a user's own mapping."""
+    """Return a phrase for the source of a unit that may be replaced, as "it states"; empty for a user's mapping."""
     return "it states" if in_file else f"mapping '{fit.mapping.name}' states" if is_shipped(fit) else ""
 
 
@@ -314,7 +314,7 @@ def _stands(positions: F64, joints: tuple[str, ...]) -> bool:
 
 
 def turned_upright(fit: Fit, rest: F64, positions: F64, joints: tuple[str, ...]) -> tuple[Fit, tuple[str, ...]]:
-    """Rotate the joints in place if another axis than a shipped mapping's is up; return its fit, and the reasons.
+    """Rotate the joints in place if an axis is up that differs from that of a shipped mapping.
 
     A user's own mapping is kept unchanged.
 

@@ -390,7 +390,7 @@ class PositionsReader(PointsReader):
         return points_of_person(parse_positions(file.path), file.person)
 
     def named(self, points: Points, mappings: Mappings) -> Points:
-        """Return the points with names: of arrays that have none, those of the likeliest order of joints."""
+        """Return the points with names; points of an array without names are named by the likeliest order of joints."""
         if points.names:
             return points
         called, names = _names_in_order(points, mappings)
@@ -403,7 +403,7 @@ class PositionsReader(PointsReader):
 
 
 def _names_in_order(points: Points, mappings: Mappings) -> tuple[str, tuple[str, ...]]:
-    """Return names for unnamed points, and their origin: of the orders with this number, the most body-like one."""
+    """Return the name and the joints of the order, among those with this number of points, that is most like a body."""
     count = len(points.positions)
     orders = {f"mapping '{each.name}'": each.order for each in mappings.of("positions") if len(each.order) == count}
     if "positions" not in mappings.forced:

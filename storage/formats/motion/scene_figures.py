@@ -96,7 +96,7 @@ def groups_of(above: Sequence[int], bones: set[int], shown: set[int]) -> list[Gr
 
 @dataclass(frozen=True)
 class FigureClip(Generic[Content]):
-    """A clip of a figure: the nodes that it moves, what the file has of it, and the names of figure and clip."""
+    """A clip of a figure: the nodes that it moves, its content in the file, and the names of figure and clip."""
 
     group: Group
     content: Content

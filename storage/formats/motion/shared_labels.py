@@ -81,7 +81,10 @@ def _alike(labels: Sequence[str]) -> Mapping[str, list[int]]:
 
 
 def _bare(copy: re.Match[str], whole: set[str]) -> str | None:
-    """Return the label before `_1`, if the file has it, and no other number after it: clusters have several."""
+    """Return the label before the number of a copy, if the file has this label and no second numbered one, else None.
+
+    A label with several numbers names the markers of a cluster.
+    """
     label = copy[3]
     others = sum(f"{label}_{number}" in whole for number in range(10))
     return label if label in whole and others == 1 else None

@@ -352,7 +352,7 @@ def _source_file(root: Path, entry: _Entry, shown: str) -> SourceFile:
 
 
 def checksum(path: Path) -> str:
-    """Return the SHA-256 of a file, in hexadecimal, of a packed one that of its own bytes.
+    """Return the SHA-256 of a file in hexadecimal; that of a packed file is computed from its unpacked bytes.
 
     Raises
     ------

@@ -145,7 +145,7 @@ def _unpacked(path: Path) -> Iterator[Unpacked]:
 
 
 def _place(folder: Path, base: Path, path: Path) -> Path:
-    """Return the place in a temporary folder of a file below a folder or an archive."""
+    """Return the path of an unpacked file in a temporary folder; `base` is the folder or archive with the file."""
     stem, ending = split_ending(path.relative_to(base).as_posix())
     return folder / f"{stem}{ending}"
 
