@@ -87,7 +87,7 @@ def mirror_of(located: Located, parsed: FeatureFile, count: int) -> tuple[tuple[
 
 
 def ground_of(located: Located, parsed: FeatureFile) -> tuple[tuple[str, ...], ...]:
-    """Return the groups of joints of which one each must be known for the body's lowest point to be known."""
+    """Return groups of joints; the lowest point of a body is known if at least one joint of each group is known."""
     for place, group in enumerate(parsed.ground):
         for joint in group:
             _joint(located, parsed, joint, "ground", place)

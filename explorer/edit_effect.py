@@ -113,7 +113,7 @@ def _divided(costs: tuple[F64, F64] | None) -> Row | None:
 
 
 def _better_threshold(prepared: Prepared, found: Row | None) -> str | None:
-    """Return the option `--set` for thresholds by class if such a threshold divides the clips far better; else None."""
+    """Return the option `--set` that calibrates thresholds by class, if they divide the clips far better, or None."""
     use = prepared.use
     own = use.params.tau == CALIBRATED or prepared.label in use.params.tau_by_class
     if found is None or own or use.annotate is None or not use.uses_thresholds or prepared.training.actors < 2:

@@ -60,7 +60,8 @@ def take_document(store: Store, take_id: int) -> Row:
     dict
         `take_id`, `name`, `frames`, `rate_hz`, `seconds`, `version` of the store; `columns`, the row of the take;
         `unknown`, the bits of features that its body lacks joints for; `warnings`; and `persons`, the takes of the
-        same source file (name and id), which are of other persons at the same time; `command`, `python`.
+        same source file (name and id), which are of other persons at the same time. `command` and `python` read the
+        same from a terminal and in Python.
 
     Raises
     ------
@@ -126,7 +127,7 @@ def take_lanes(cache: PositionCache, store: Store, take_id: int) -> Row:
         duplicates or quality), `name`, `detail`, and `segments`, each with `start` and `stop` in analysis frames,
         `class` (the text on it), and what its source states: `confidence`, `cost`, `subclass`, `verdict`, `note`, ….
         `suspect`, the figures of the take that lie beyond their limits; `limbs`, those that have an error curve, with
-        `tau_deg`; `command`, `python`.
+        `tau_deg`. `command` and `python` read the same from a terminal and in Python.
 
     Raises
     ------
@@ -378,7 +379,7 @@ def pose_reading(store: Store, take_id: int, frame: int) -> Row:
     -------
     dict
         `frame`, `valid`, and the names of the features that are `on`, `off` and `unknown`; in an invalid frame all are
-        unknown; `command`, `python`.
+        unknown. `command` and `python` read the same from a terminal and in Python.
 
     Raises
     ------

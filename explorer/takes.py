@@ -205,7 +205,7 @@ def values(archive: Archive, asked: ValuesRequest, _request: Request) -> dict[st
 
 
 def _histogram(archive: Archive, inside: str) -> dict[str, Any]:
-    """Return the smallest and largest value, and the takes in bins between them."""
+    """Return the smallest and the largest value, and the number of takes in each bin between them."""
     store = archive.store()
     number = f"SELECT value::DOUBLE AS value FROM ({inside}) WHERE isfinite(value::DOUBLE)"
     ends = f"SELECT min(value) AS low, max(value) AS high FROM ({number})"

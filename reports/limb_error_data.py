@@ -337,7 +337,7 @@ def packed_triads(
 def _points(
     limb: LimbMotion, sensor: WornSensor, row: Mapping[str, Any], clock: Clock, frames: int, rate_hz: float
 ) -> F64:
-    """Return the points (7, 3, T) of a limb at the analysis frames of its take."""
+    """Return the centre of a limb, and the ends of its axes by the take and by the sensor, as points (7, 3, T)."""
     times = np.arange(frames) / rate_hz
     nearest = np.searchsorted(limb.times, times).clip(0, len(limb.times) - 1)
     before = (nearest - 1).clip(0)

@@ -19,7 +19,7 @@ class Evidence:
     names : tuple of str
         The names of N nodes as the file has them; an end without a name is called by its parent, as `LeftToe_end`.
     positions : float64 array (N, 3, K)
-        Where the nodes are in K sampled frames, in the file's axes and unit; NaN where a point is not seen.
+        Positions of the nodes in K sampled frames, in the file's axes and unit; NaN where a point is not seen.
     parents : tuple of int, optional
         Index of each node's parent, −1 for a root; None for points and markers, which hang from nothing.
     offsets : float64 array (N, 3), optional

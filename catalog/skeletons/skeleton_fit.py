@@ -342,7 +342,7 @@ class Fit:
     doubts : tuple of str
         Warnings about labels that seem to be wrong.
     confidence : float
-        From 0 to 1; 1 for a mapping that the names fit exactly.
+        The confidence from 0 to 1; 1 for a mapping that the names fit exactly.
     """
 
     mapping: SkeletonMapping

@@ -58,7 +58,7 @@ def guess_unit(source: str | Path, positions: F64, joints: tuple[str, ...]) -> t
     source : path
         The file that errors name.
     positions : float64 array (J, 3, T)
-        Of the named joints, in the unit to be guessed.
+        Positions of the named joints, in the unit to be guessed.
 
     Returns
     -------
@@ -109,7 +109,7 @@ def unlikely_height(positions: F64, joints: tuple[str, ...], unit_m: float) -> f
     Parameters
     ----------
     positions : float64 array (J, 3, T)
-        Of the named joints, in the file's unit.
+        Positions of the named joints, in the file's unit.
     joints : tuple of str
         The names of the J joints.
     unit_m : float
@@ -128,7 +128,7 @@ def contradicted_unit(positions: F64, joints: tuple[str, ...], unit_m: float) ->
     Parameters
     ----------
     positions : float64 array (J, 3, T)
-        Of the named joints, in the file's unit.
+        Positions of the named joints, in the file's unit.
     joints : tuple of str
         The names of the J joints.
     unit_m : float
@@ -159,7 +159,7 @@ def body_height(positions: F64, joints: tuple[str, ...]) -> float | None:
     Parameters
     ----------
     positions : float64 array (J, 3, T)
-        Of the named joints; the first frame counts.
+        Positions of the named joints; the first frame counts.
     """
     first = zip(joints, positions[:, :, 0].tolist(), strict=True)
     known = {joint: place for joint, place in first if all(map(math.isfinite, place))}

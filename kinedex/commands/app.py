@@ -185,7 +185,7 @@ class TakesPage(HelpPage):
         return super().parse_args(ctx, self.completed(args))
 
     def completed(self, args: list[str]) -> list[str]:
-        """Return the arguments, preceded by `list` unless they begin with a command."""
+        """Return the arguments, preceded by `list` if the first one is neither a command nor `--help`."""
         return ["list", *args] if args and args[0] not in self.commands and args[0] != "--help" else args
 
 

@@ -93,7 +93,7 @@ class FineBound:
     frames : int
         The number of frames of the curve.
     computed : int
-        The number of frames that were computed, including the frames before windows in which their paths may start.
+        The number of frames that were computed, including those before each window from which paths lead into it.
     """
 
     units: U16

@@ -123,7 +123,7 @@ def _stride(
     ahead: float,
     sink: float,
 ) -> None:
-    """Add the keyframes of one step: the swinging foot, the pelvis over the standing foot, arms and trunk opposite."""
+    """Add the keyframes of one step of a foot, with the pelvis above the standing foot and the arms opposite."""
     outwards = 1.0 if side == "l" else -1.0
     sine, cosine = math.sin(math.radians(heading)), math.cos(math.radians(heading))
     narrow = gait.narrow * outwards

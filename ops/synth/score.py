@@ -4,14 +4,15 @@ The channels describe the pelvis, the feet, the spine, the head and the hands, n
 feet are in leg lengths of the actor, lengths of the hands in arm lengths, and angles in degrees, so that a motion can
 be performed by every body.
 
-- px py pz: the pelvis in the world; py is relative to upright standing. yaw (left is positive), pitch (forwards), roll
-(to
-  the right).
-- per foot (l, r): x y z of the ball of the foot in the room (of the ankle, where free = 1), yaw, pitch (heel up), knee
-  (turned outwards), free (0: the foot holds its angle in the room, 1: it hangs from the shin).
-- bend side twist: the spine, forwards, to the right, to the left. nod look tilt: neck and head likewise.
-- per hand: hx (outwards) hy (up) hz (forwards) of the wrist from the shoulder in the frame of the chest, swivel of the
-  elbow about the line from shoulder to wrist, wrist (flexion) and hroll of the hand.
+- The pelvis has px, py and pz in the world, where py is relative to upright standing, and the angles yaw (positive to
+  the left), pitch (forwards) and roll (to the right).
+- Each foot (l, r) has x, y and z of its ball in the world, or of its ankle where free = 1, and the angles yaw, pitch
+  (heel up) and knee (turned outwards). Where free = 0 the foot keeps its angle in the world, where free = 1 it hangs
+  from the shin.
+- The spine has bend (forwards), side (to the right) and twist (to the left); neck and head have nod, tilt and look for
+  the same directions.
+- Each hand has hx (outwards), hy (up) and hz (forwards) of the wrist relative to the shoulder in the frame of the
+  chest, swivel of the elbow about the line from shoulder to wrist, wrist (flexion) and hroll (rotation of the hand).
 """
 
 from __future__ import annotations

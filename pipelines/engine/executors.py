@@ -177,7 +177,7 @@ class ProcessExecutor(Executor):
     def _next(
         self, function: Callable[[Item], Result], waiting: deque[tuple[Item, Future[Result]]]
     ) -> Iterator[Result]:
-        """Yield the first waiting result; after the death of a worker, yield those of all waiting tasks."""
+        """Yield the first waiting result; after the death of a worker, yield the results of all waiting tasks."""
         try:
             result = waiting[0][1].result()
         except BrokenProcessPool:

@@ -26,7 +26,7 @@ Row = dict[str, Any]
 
 
 def file_names(naming: Naming, path: str) -> tuple[str, ...]:
-    """Return the names that the take of a file can have, the one by the given rule first.
+    """Return the names that the take of a file can have; the first follows the given rule.
 
     Parameters
     ----------
@@ -41,7 +41,7 @@ def file_names(naming: Naming, path: str) -> tuple[str, ...]:
 
 
 def person_name(file_name: str, person: str) -> str:
-    """Return the name of the take of one person in a file with several."""
+    """Return the name of the take of one person in a file with several persons."""
     return f"{file_name}-{person}" if person else file_name
 
 
@@ -90,7 +90,7 @@ class TakeNames:
         return names
 
     def add_person(self, path: str, file_name: str, person: str) -> str | None:
-        """Name the take of a person in a file with several; return None if every possible name is in use.
+        """Name the take of a person in a file with several persons; return None if every possible name is in use.
 
         Parameters
         ----------

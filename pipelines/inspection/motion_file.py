@@ -80,7 +80,7 @@ class Inspection:
         self.lines.append((name, text))
 
     def add_all(self, name: str, texts: Iterable[str]) -> None:
-        """Add facts on consecutive lines, the first one with their name."""
+        """Add facts on consecutive lines, of which only the first shows the name."""
         for i, text in enumerate(texts):
             self.add("" if i else name, text)
 

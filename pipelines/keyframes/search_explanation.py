@@ -299,7 +299,7 @@ def _frames(segments: I64) -> int:
 
 
 def _numbers(chain: KeyframeQuery) -> list[tuple[int, str]]:
-    """Return the number of each keyframe as written, and the letter of the part; "" for a keyframe with one part."""
+    """Return the number of each keyframe as the query writes it, with a letter if the keyframe has several parts."""
     # parts of one keyframe are separated by this object itself; an equal gap in a query is another object
     numbers = np.cumsum([1, *(gap is not SAME_FRAME for gap in chain.gaps)]).tolist()
     parts = [number if numbers.count(number) > 1 else 0 for number in numbers]

@@ -137,7 +137,7 @@ def build_index(
 
 
 def _remove_old(store: Snapshot, built: Path) -> None:
-    """Remove the generations that the one just built replaces, and old ones whose version no reader has open."""
+    """Remove generations that the new one replaces, and old generations whose versions no reader has open."""
     for number, old in enumerate(generations(store.path)):
         # an index of the same version of the store is damaged, or made with another index version or other macros
         if old != built and is_of(old, store.manifest.version):

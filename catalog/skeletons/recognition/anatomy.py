@@ -115,7 +115,7 @@ def trunk_length(tree: Tree, legs: Pair, arms: Pair) -> float:
 
 
 def _hips(tree: Tree, common: int, legs: Pair) -> int:
-    """Return the node of the pelvis: where legs and spine part, or a near node with a name of the hips."""
+    """Return the node of the pelvis, where legs and spine meet, or a nearby node that is named as hips."""
     middle = (tree.positions[legs.first.nodes[0]] + tree.positions[legs.second.nodes[0]]) / 2
     near = [common, *tree.ancestors(common)[1:], legs.at]
     for node in near:
@@ -204,7 +204,7 @@ class Sides:
     mirrored : bool
         True if the limbs that are named left lie on the right: the file's axes are left-handed.
     facing : float
-        From −1 to 1, how clearly feet and knees show that the left limbs are on the left; 0 without evidence.
+        A number from −1 to 1: positive if feet and knees show that the left limbs are on the left, 0 without evidence.
     crossed : bool
         True if the left leg and the left arm lie on different sides.
     """

@@ -460,7 +460,7 @@ def _choices(located: Located, section: str, name: str, ways: Sequence[Mapping[s
 
 
 def _mirrored(found: Mapping[str, tuple[Choice, ...]], names: Iterable[str]) -> dict[str, tuple[Choice, ...]]:
-    """Return choices with those of the left side repeated for the right one."""
+    """Return choices, with each choice of the left side repeated for the right side."""
     sided = {name[1:] for name in names if name[0] == "l" and "r" + name[1:] in set(names)}
     sided |= {name[1:] for name in found if name[0] == "l"}
 

@@ -35,9 +35,9 @@ class Limb:
     bones : tuple of float
         The lengths from the body to the first node, between the three, and past the last.
     names : float
-        How well the names fit, up to 3; negative where they name another limb.
+        The fit of the names, up to 3; negative where they name another limb.
     shape : float
-        How well the lengths fit; 0 is perfect, and less is worse.
+        The fit of the lengths; 0 is perfect, and lower values are worse.
     """
 
     path: tuple[int, ...]

@@ -180,7 +180,7 @@ def normal_names(names: Sequence[str], vocabulary: Vocabulary) -> tuple[NodeName
     Parameters
     ----------
     names : sequence of str
-        As the file has them.
+        The names in the file.
     vocabulary : Vocabulary
         Its terms are never taken for a prefix, and a side that is glued to one of them is found (`lcollar`).
     """

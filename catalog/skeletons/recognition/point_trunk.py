@@ -32,7 +32,7 @@ class BodyDraft:
     joints : dict of str to list of Mix
         The alternatives of each joint, the best first.
     estimated : dict of str to str
-        How some of the joints are estimated.
+        Joint → a phrase on how it is estimated, for the joints that are estimated.
     rough : set of str
         The joints of these whose estimate may be more than 5 cm off.
     made : dict of Mix to float64 array (3, K)
@@ -203,7 +203,7 @@ def _along_spine(draft: BodyDraft, labels: Sequence[str], share: float) -> Mix |
 
 
 def _knee_between_clusters(draft: BodyDraft, reading: Reading, side: str) -> None:
-    """Estimate a knee without markers from those of thigh and shank, as far along the leg as knees are."""
+    """Estimate a knee without markers from the markers of thigh and shank, at a knee's usual place along the leg."""
     thigh, shank = (reading.labels.get(f"{side}{part}", ()) for part in ("thigh", "shank"))
     hip, ankle = draft.place(f"{side}hip"), draft.place(f"{side}ankle")
     if f"{side}knee" in draft.joints or not thigh or not shank or hip is None or ankle is None:

@@ -209,7 +209,7 @@ class Proportions:
     Attributes
     ----------
     confidence : float
-        From 0 to 1.
+        The confidence that the points form a human body, from 0 to 1.
     doubts : tuple of str
         Phrases on proportions that are not human.
     reasons : tuple of str

@@ -275,7 +275,7 @@ def _fault(tree: Tree, bodies: Sequence[Anatomy], confidence: float, animal: fro
 
 
 def _on_four_legs(tree: Tree, body: Anatomy) -> bool:
-    """Return whether the arms are legs as well: as long, parallel to them, and across from a level trunk."""
+    """Return whether the arms are a second pair of legs, equally long and parallel, at the end of a level trunk."""
     if body.legs is None or body.arms is None or body.arms.length < 0.85 * body.legs.length:
         return False
     hips, ankles = _middle(tree, body, 0)

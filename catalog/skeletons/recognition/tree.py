@@ -34,9 +34,9 @@ class Tree:
     children : tuple of tuple of int
         The children of each node, without branches that are no part of a limb (twists, faces, clothes).
     positions : float64 array (N, 3, K)
-        Where the nodes are in the sampled frames.
+        Positions of the nodes in the sampled frames.
     rest : float64 array (N, 3)
-        Where they are in the rest pose.
+        Positions of the nodes in the rest pose.
     lengths : tuple of float
         The distance of each node from its parent, 0 for a root.
     reach : tuple of float

@@ -177,7 +177,7 @@ class AcclaimReader(Reader):
         return settings.acclaim_hz
 
     def extent(self, file: MotionFile, joints: int, settings: ReadSettings) -> Extent:
-        """Count the frames and estimate the memory: the joints, and one block of the text."""
+        """Count the frames and estimate the memory of the joints and one block of the text."""
         skeleton = _skeleton_of(file)
         motion = AmcFile(file.path, skeleton, file.data)
         need = posed_bytes(motion.frames, file_size(file.path), len(skeleton.nodes), joints)

@@ -146,7 +146,7 @@ class AmassReader(Reader):
         return settings.rate_hz, settings.override_rate_hz, model_digest(settings.body_model)
 
     def extent(self, file: MotionFile, joints: int, settings: ReadSettings) -> Extent:
-        """Read the headers of the arrays and estimate the memory: all angles, and the joints."""
+        """Read the headers of the arrays and estimate the memory of all angles and the joints."""
         if file.path.suffix.lower() == ".pkl":
             return Extent(0, 8 * file_size(file.path), settings.override_rate_hz)
         shapes = array_shapes(file.path)

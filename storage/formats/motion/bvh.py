@@ -87,7 +87,7 @@ class BvhReader(Reader):
         return settings.override_rate_hz
 
     def extent(self, file: MotionFile, joints: int, settings: ReadSettings) -> Extent:
-        """Count the frames and estimate the memory: joints, one block of the text, and kept channels."""
+        """Count the frames and estimate the memory of joints, one block of text and stored channels."""
         bvh = BvhFile(file.path, file.data)
         need = posed_bytes(bvh.frames, file_size(file.path), len(bvh.nodes), joints) + 1000 * len(bvh.nodes)
         kept = min(8 * bvh.frames * bvh.columns, _KEPT_BYTES) + 24 * SAMPLED_FRAMES * len(bvh.nodes)

@@ -187,7 +187,7 @@ class C3dReader(Reader):
         return settings.rate_hz, settings.override_rate_hz, settings.fill_gap_frames
 
     def extent(self, file: MotionFile, joints: int, settings: ReadSettings) -> Extent:
-        """Return the frames of the file's layout, and estimate the memory: all markers and a block of them."""
+        """Return the frames of the file's layout, and estimate the memory of all markers and a block of frames."""
         layout = read_layout(file.path)
         need = points_bytes(layout.frames, layout.points, joints) + frames_bytes(layout)
         rate_hz = next((rate for rate in layout.rates if SLOWEST_HZ <= rate <= FASTEST_HZ), None)

@@ -171,7 +171,7 @@ def negated(number: bytes) -> bytes:
 
 
 def mirrored_tokens(figure: Figure, plane: MirrorPlane, tokens: Tokens) -> Tokens:
-    """Return the numbers of the mirror image: those of the other side, some negated.
+    """Return the numbers of the mirror image, which are those of the other side, some of them negated.
 
     With S the reflection, a node's rotation R becomes S · R · S, a product of rotations about the same axes, with the
     same angle about the normal of the plane and the negated angle about the others.
@@ -185,7 +185,7 @@ def mirrored_tokens(figure: Figure, plane: MirrorPlane, tokens: Tokens) -> Token
 
 
 def _upright(fit: Fit, plane: MirrorPlane) -> F64:
-    """Return the rotation that keeps the up axis up after the mirror: none, unless the plane is the ground."""
+    """Return the rotation that keeps the up axis up after mirroring; none unless the plane is the ground."""
     axes = np.abs(fit.mapping.axes)
     if int(np.argmax(axes[1])) != plane.axis:
         return np.eye(3)

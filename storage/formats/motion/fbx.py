@@ -45,7 +45,7 @@ class FbxReader(FigureReader):
     reads_whole: ClassVar[bool] = True
 
     def extent(self, file: MotionFile, joints: int, settings: ReadSettings) -> Extent:
-        """Count the frames by the times of the keys, and estimate the memory: the file, its records, and the joints."""
+        """Count the frames by the times of the keys, and estimate the memory of file, records and joints."""
         scene = Scene(file.path, file.data)
         clip = chosen_clip(file.path, file.person, clips_of(scene))
         _, frames, rate_hz, _ = _frames(scene, clip)

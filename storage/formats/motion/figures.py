@@ -261,7 +261,7 @@ def fitted_figure(path: Path, figure: Figure, mappings: Mappings, joints: tuple[
 
 
 def _evidence(figure: Figure, positions: F64) -> Evidence:
-    """Return the evidence for recognising a figure; bones whose length is only a rounding error get none."""
+    """Return the evidence for recognising a figure; bones whose length is a rounding error have length 0."""
     positions, offsets = positions.copy(), figure.rest.copy()
     for node, above in enumerate(figure.parents):
         if above >= 0:

@@ -41,7 +41,7 @@ class GltfReader(FigureReader):
     beside: ClassVar[tuple[str, ...]] = (".bin",)
 
     def extent(self, file: MotionFile, joints: int, settings: ReadSettings) -> Extent:
-        """Count the frames by the times of the keys, and estimate the memory: JSON, keys and joints."""
+        """Count the frames by the times of the keys, and estimate the memory of JSON, keys and joints."""
         document = read_gltf(file.path)
         clip = chosen_clip(file.path, file.person, _clips(document))
         times = _times(document, clip.content)

@@ -241,7 +241,7 @@ class KeypointReader(PointsReader):
     beside: ClassVar[tuple[str, ...]] = (".json",)
 
     def sniff(self, path: Path) -> bool:
-        """Return whether a file begins like one of keypoints, and is not a later one of a sequence."""
+        """Return whether a file begins like a file of keypoints, and is not a later file of a sequence."""
         head = beginning(path)
         if not (_KEYS.search(head) or _KINDS.search(head)):
             return False

@@ -57,7 +57,7 @@ class MvnxReader(FigureReader):
         return settings.rate_hz, settings.override_rate_hz
 
     def extent(self, file: MotionFile, joints: int, settings: ReadSettings) -> Extent:
-        """Count the frames, and estimate the memory: positions and orientations of all segments, and the joints."""
+        """Count the frames, and estimate the memory of the motion of all segments and the joints."""
         frames, nodes = count_elements(file.path, "frame"), len(PARENTS) + 1 + len(TIPS)
         in_frame = 8 * (7 * 2 + 1) * nodes  # numbers; twice as many while an array grows
         need = figure_bytes(frames, nodes, joints) + in_frame * frames + (8 << 20)

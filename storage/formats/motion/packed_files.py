@@ -45,7 +45,7 @@ class ByteStream(Protocol):
     """Protocol of an open file, of which bytes are read in order."""
 
     def read(self, size: int, /) -> bytes:
-        """Return at most `size` next bytes; none at the end."""
+        """Return the next bytes, at most `size` of them; empty at the end."""
         ...
 
 
@@ -308,7 +308,7 @@ class _Checked:
         self._path, self._file, self._packed, self._stated, self._size = path, file, packed, stated, 0
 
     def read(self, size: int, /) -> bytes:
-        """Return at most `size` next bytes."""
+        """Return the next bytes, at most `size` of them."""
         with _unpack_errors(self._path):
             data = self._file.read(size)
             self._size += len(data)

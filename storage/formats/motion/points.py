@@ -84,7 +84,7 @@ class Points:
         return {name: i for i, name in enumerate(self.names)}
 
     def seen(self) -> Self:
-        """Return the points that are present in any frame; one that never is would only shift the others' indices."""
+        """Return the points that are present in at least one frame; other points would only shift the indices."""
         there = np.flatnonzero(np.isfinite(self.positions).any(axis=(1, 2)))
         if len(there) == len(self.positions):
             return self

@@ -62,7 +62,7 @@ class Body:
     estimated : tuple of str
         The joints that are estimated because the file lacks them.
     confidence : float
-        From 0 to 1, how surely the body was recognised; 1 for a mapping that the names fit exactly.
+        The confidence of the recognition from 0 to 1; 1 for a mapping that the names fit exactly.
     evidence : tuple of str
         Sentences on how body, axes and unit were found, for `kinedex inspect`.
     up : str

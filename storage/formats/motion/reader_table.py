@@ -75,7 +75,7 @@ def reader_of(path: str | Path) -> Reader:
 
 
 def is_known_by_ending(ending: str) -> bool:
-    """Return whether every file with an extension is motion, so that its content need not be looked at."""
+    """Return whether all files with the given extension are motion files, whatever their content."""
     return _accepts_all(_readers_by_ending(tuple(READERS)).get(ending, ()))
 
 

@@ -71,7 +71,7 @@ def _listed(texts: Sequence[str]) -> str:
 
 
 def _alike(labels: Sequence[str]) -> Mapping[str, list[int]]:
-    """Return a dict from label to the indices of the markers that may be copies of one, at least two of each."""
+    """Return a dict from label to the indices of at least two markers that may be copies of the same marker."""
     whole = set(labels)
     found: dict[str, list[int]] = {}
     for i, label in enumerate(labels):
@@ -113,7 +113,7 @@ def _same(copies: F64, nearest: float) -> bool:
 
 
 def _join(positions: F64, copies: Sequence[int]) -> None:
-    """Give the first marker, where it is not seen, the positions of the others, which become unseen."""
+    """Fill the gaps of the first marker with the positions of its copies, and set those of the copies to NaN."""
     first = positions[copies[0]]
     for i in copies[1:]:
         hidden = np.isnan(first).any(axis=0)

@@ -102,7 +102,7 @@ def chosen_person(file: Path, skeleton: Path | None, mappings: Mappings, person:
 
 
 def _example(file: Path) -> Path:
-    """Return the path of a motion file in an archive; one that need not be there if none is found."""
+    """Return the path of a motion file in an archive, as an example; the path is made up if none is found."""
     names = archive(file).members
     return file / next((name for name in names if is_known_by_ending(split_ending(name)[1].lower())), "walk.bvh")
 

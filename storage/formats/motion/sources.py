@@ -138,7 +138,7 @@ class Scan:
         return nearest_skeleton(motion, self._skeletons_in)
 
     def chosen_skeleton(self, motion: SourceFile, given: Mapping[str, str]) -> tuple[SourceFile, tuple[str, ...]]:
-        """Return the skeleton file of a motion file, and a warning if only the lack of others speaks for it.
+        """Return the skeleton file of a motion file, and a warning if their names do not fit each other.
 
         Parameters
         ----------

@@ -157,7 +157,7 @@ def _beside(path: Path) -> tuple[str, ...]:
 
 
 def _others(path: Path) -> Iterator[Path]:
-    """Yield the files that belong to a file: the others of its sequence in its folder, models, and buffers."""
+    """Yield the other files that reading a file requires: the files of its sequence, models, and buffers."""
     kind = split_ending(path.name)[1].lower()
     for other in files_beside(path, _beside(path)):
         if other != path and (other.parent == path.parent or split_ending(other.name)[1].lower() != kind):
@@ -204,7 +204,7 @@ def _write(path: Path, copy: Path, most: int | None = None) -> str:
 
 
 def recognised(paths: Sequence[Path]) -> frozenset[Path]:
-    """Return those files of one folder that readers recognise, as `is_motion_file` does; for packed and UTF-16 files.
+    """Return those packed or UTF-16 files of one folder that readers recognise, by the rules of `is_motion_file`.
 
     A file that cannot be unpacked counts as one, so that its reader reports the fault.
     """
