@@ -20,7 +20,7 @@ from tests.point_files import motive_csv, nexus_csv
 FRAMES = 120
 """Frames of a recording, spread evenly over its motion."""
 
-_COMPUTED = re.compile(
+COMPUTED = re.compile(
     r".*(CentreOfMass|Angles|Moment|Force|Power)|[LR]?(PEL|TRX|HED|FE|TI|FO|TO|HU|RA|HN|CL|UP)[OALP]$"
 )
 """The names that Plug-in Gait gives to results, with which no marker is exchanged."""
@@ -228,7 +228,7 @@ def _exchanges(made: Recording) -> Iterator[Mutation]:
     if sides:
         yield Mutation("all sides exchanged", "", _renamed(made, sides), knowable=False)
     middle = np.nanmean(made.positions, axis=2)
-    markers = [i for i, label in enumerate(made.labels) if not _COMPUTED.match(label)]
+    markers = [i for i, label in enumerate(made.labels) if not COMPUTED.match(label)]
     for i, label in ((i, made.labels[i]) for i in markers):
         away = np.linalg.norm(middle - middle[i], axis=1)
         j = min((j for j in markers if j != i), key=lambda j: away[j])

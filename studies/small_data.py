@@ -156,6 +156,7 @@ def _others(data: Path, folder: Path) -> None:
     _copy(
         data, folder, [one for one in sorted(data.glob("c3d/*.c3d")) if one.stem in ("Optotrak", "Qualisys", "Vicon")]
     )
+    _copy(data, folder, sorted(data.glob("wild/pyCGM/Sample_Static.c3d")))
     _copy(data, folder, [one for one in sorted(data.glob("wild/*/*.bvh")) if one.stat().st_size < 300_000][:SKELETONS])
     skeletons = data.parent / "reference" / "wild_skeletons.json"
     if skeletons.is_file():
