@@ -26,7 +26,16 @@ from kinedex.catalog.skeletons.recognition.landmarks import Landmarks, landmarks
 from kinedex.catalog.skeletons.recognition.names import LONGEST_PREFIX, Vocabulary, load_vocabulary, parse_vocabulary
 from kinedex.catalog.skeletons.recognition.points import doubted_labels, recognise_points
 from kinedex.catalog.skeletons.recognition.recognised_tree import recognise_tree
-from kinedex.catalog.skeletons.skeleton_fit import Axis, Fit, Format, LimbEntry, Mix, SkeletonMapping, limb_sources
+from kinedex.catalog.skeletons.skeleton_fit import (
+    KINDS,
+    Axis,
+    Fit,
+    Format,
+    LimbEntry,
+    Mix,
+    SkeletonMapping,
+    limb_sources,
+)
 from kinedex.ops.arrays import F64
 from kinedex.ops.body.joint_tree import JOINT_PARENTS
 from kinedex.ops.errors import ConfigError, SourceError, did_you_mean
@@ -41,8 +50,9 @@ ENDINGS = (".yaml", ".yml")
 
 class _Aside(BaseModel):
     model_config = ConfigDict(extra="forbid")
-    plane: list[str] = Field(min_length=3, max_length=3)
+    plane: list[str | _Mix] = Field(min_length=3, max_length=3)
     times: float
+    kind: Literal["normal", "chord", "hinge"] = "normal"
 
 
 class _Mix(BaseModel):
@@ -442,10 +452,29 @@ def _mix(located: Located, parsed: _SkeletonFile, joint: str, value: object) -> 
                 f"{did_you_mean(other, direct)}",
                 "joints", joint,
             )  # fmt: skip
+    if mix.virtual is None:
+        return _of_nodes(located, joint, mix)
+    _check_weights(located, joint, weights)
+    return Mix(tuple(weights.items()), of_joints=True)
+
+
+def _of_nodes(located: Located, joint: str, mix: _Mix) -> Mix:
+    """Return a combination of nodes; the corners of its plane may be such combinations, too."""
+    if mix.nodes is None:
+        raise located.error("a plane goes through nodes or `nodes`, not through `virtual` joints", "joints", joint)
+    _check_weights(located, joint, mix.nodes)
+    weights = tuple(mix.nodes.items())
+    if mix.aside is None:
+        return Mix(weights)
+    if mix.aside.kind == "chord" and not -1.0 < mix.aside.times < 1.0:
+        raise located.error(f"a chord's `times` must lie between -1 and 1, got {mix.aside.times:g}", "joints", joint)
+    plane = tuple(part if isinstance(part, str) else _of_nodes(located, joint, part) for part in mix.aside.plane)
+    return KINDS[mix.aside.kind](weights, plane=plane, out=mix.aside.times)
+
+
+def _check_weights(located: Located, joint: str, weights: Mapping[str, float]) -> None:
     if abs(sum(weights.values()) - 1.0) > 1e-9:
         raise located.error(f"the weights must add up to 1, got {sum(weights.values()):g}", "joints", joint)
-    plane, out = (tuple(mix.aside.plane), mix.aside.times) if mix.aside else ((), 0.0)
-    return Mix(tuple(weights.items()), of_joints=mix.virtual is not None, plane=plane, out=out)
 
 
 def _has_virtual(what: object) -> bool:

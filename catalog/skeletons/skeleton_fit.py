@@ -124,14 +124,14 @@ class Mix:
 
     Attributes
     ----------
-    plane, out : tuple of str
-        Nodes a, b, c, and the offset of the joint along (b − a) × (c − a), the normal of their plane, in units of
-        |b − a|, for joints that lie beneath the markers on the skin.
+    plane, out : tuple of str or Mix, float
+        Nodes a, b, c, or combinations of nodes, and the offset of the joint along (b − a) × (c − a), the normal of
+        their plane, in units of |b − a|, for joints that lie beneath the markers on the skin.
     """
 
     weights: tuple[tuple[str, float], ...]
     of_joints: bool = False
-    plane: tuple[str, ...] = ()
+    plane: tuple[str | Mix, ...] = ()
     out: float = 0.0
 
     @cached_property
@@ -142,23 +142,63 @@ class Mix:
     @cached_property
     def names(self) -> tuple[str, ...]:
         """Return all nodes (or joints) of the combination."""
-        return tuple(dict.fromkeys([*(name for name, _ in self.weights), *self.plane]))
+        corners = [name for part in self.plane for name in ((part,) if isinstance(part, str) else part.names)]
+        return tuple(dict.fromkeys([*(name for name, _ in self.weights), *corners]))
 
     def __str__(self) -> str:
         mixed = " ".join(f"{weight:+g} {name}" for name, weight in self.weights)
-        return f"{mixed} {self.out:+g} aside of {'-'.join(self.plane)}" if self.plane else mixed
+        return f"{mixed} {self.out:+g} aside of {'-'.join(map(str, self.plane))}" if self.plane else mixed
 
     def apply(self, positions: Mapping[str, F64], hand: float) -> F64:
         """Compute the position (3, T) from those of the nodes; `hand` is 1 for right-handed axes, else −1."""
         with np.errstate(over="ignore", invalid="ignore"):  # Invalid numbers become infinite and are refused later.
             mixed: F64 = np.sum([weight * positions[name] for name, weight in self.weights], axis=0)
             if self.plane:
-                a, b, c = (positions[name] for name in self.plane)
-                normal = np.cross(b - a, c - a, axis=0)
-                far = np.linalg.norm(b - a, axis=0) / np.maximum(np.linalg.norm(normal, axis=0), np.finfo(float).tiny)
-                mixed = mixed + hand * self.out * far * normal
+                a, b, c = (
+                    positions[part] if isinstance(part, str) else part.apply(positions, hand) for part in self.plane
+                )
+                mixed = mixed + self._offset(b - a, c - a, hand)
         return mixed
 
+    def _offset(self, first: F64, second: F64, hand: float) -> F64:
+        """Return the offset (3, T) that two sides of the plane give, (3, T) each."""
+        normal = np.cross(first, second, axis=0)
+        far = np.linalg.norm(first, axis=0) / np.maximum(np.linalg.norm(normal, axis=0), np.finfo(float).tiny)
+        return np.asarray(hand * self.out * far * normal)
+
+
+@dataclass(frozen=True)
+class Chord(Mix):
+    """A combination whose offset lies in the plane: from a, away from c, to where the ways to a and b are square.
+
+    So a knee lies between its outer marker a, the hip b and a marker c on the thigh, and an ankle likewise (R. Davis et
+    al., Human Movement Science 10 (1991), 575-587). `out` is the distance from a in units of |b − a|.
+    """
+
+    def _offset(self, first: F64, second: F64, hand: float) -> F64:
+        square = np.maximum((first * first).sum(axis=0), np.finfo(float).tiny)
+        across = second - (first * second).sum(axis=0) / square * first
+        far = np.sqrt(square) / np.maximum(np.linalg.norm(across, axis=0), np.finfo(float).tiny)
+        return np.asarray(self.out**2 * first - self.out * np.sqrt(1.0 - self.out**2) * far * across)
+
+
+_BENT = (0.1, 0.2)  # sines of the angle at a; below the first, the axis of a hinge is anywhere
+
+
+@dataclass(frozen=True)
+class Hinge(Mix):
+    """A combination whose offset is along the normal, the axis of a hinge at a, as far as the limb a, b, c is bent."""
+
+    def _offset(self, first: F64, second: F64, hand: float) -> F64:
+        normal = np.cross(first, second, axis=0)
+        lengths = np.linalg.norm(first, axis=0) * np.linalg.norm(second, axis=0)
+        sine = np.linalg.norm(normal, axis=0) / np.maximum(lengths, np.finfo(float).tiny)
+        bent = np.where(np.isnan(sine), np.nan, np.clip((sine - _BENT[0]) / (_BENT[1] - _BENT[0]), 0.0, 1.0))
+        return np.asarray(bent * super()._offset(first, second, hand))
+
+
+KINDS: dict[str, type[Mix]] = {"normal": Mix, "chord": Chord, "hinge": Hinge}
+"""The kinds of offsets in YAML."""
 
 _KEPT_FITS: dict[tuple[int, tuple[tuple[str, int], ...]], Fit] = {}
 """Fits by the identity of their mapping, which they keep alive, and the nodes."""

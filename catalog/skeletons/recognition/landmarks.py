@@ -15,7 +15,7 @@ from pydantic import BaseModel, ConfigDict, Field
 
 from kinedex.catalog.configs import Located, load_yaml, shipped_configs
 from kinedex.catalog.skeletons.recognition.names import LONGEST_PREFIX
-from kinedex.catalog.skeletons.skeleton_fit import Mix
+from kinedex.catalog.skeletons.skeleton_fit import KINDS, Chord, Mix
 from kinedex.ops.errors import did_you_mean
 
 _WORD = re.compile(r"[^\W_]+")
@@ -29,6 +29,9 @@ _TRUNK = ("lasis", "rasis", "lpsis", "rpsis", "sacrum", "c7", "clav", "t10", "st
 _MODEL = "OALP"  # last letters in Vicon's names of segment origins and axes, which are no markers
 _FEW_OF_MODEL = 3  # of these four, which make a segment although one of them is missing
 
+_MODEL_JOINTS = {"FEP": "hjc", "FEO": "kjc", "TIO": "ajc", "CLO": "sjc", "HUO": "ejc", "RAO": "wjc"}
+"""Vicon's names of those that are joint centres: origins of segments, and the upper end of the thigh."""
+
 
 class _Part(BaseModel):
     model_config = ConfigDict(extra="forbid")
@@ -36,6 +39,13 @@ class _Part(BaseModel):
     middle: dict[str, list[str]] = Field(default_factory=dict)
     clusters: dict[str, list[str]] = Field(default_factory=dict)
     spine: list[str] = Field(default_factory=list)
+
+
+class _Set(BaseModel):
+    model_config = ConfigDict(extra="forbid")
+    labels: list[str]
+    least: int
+    joints: dict[str, list[dict[str, Any]]]
 
 
 class _LandmarkFile(BaseModel):
@@ -50,6 +60,7 @@ class _LandmarkFile(BaseModel):
     orders: dict[str, list[str]] = Field(default_factory=dict)
     points: dict[str, list[dict[str, Any]]]
     joints: dict[str, list[dict[str, Any]]]
+    sets: dict[str, _Set] = Field(default_factory=dict)
 
 
 class _OwnFile(BaseModel):
@@ -72,7 +83,9 @@ class Choice:
     weights : tuple of (str, float)
         Landmark or point → weight; the weights add up to 1.
     plane, out : tuple of str, float
-        As in `Mix`, over landmarks.
+        As in `Mix`, over landmarks; `joint lhip` stands for a joint, `point lgrip` for a point of several landmarks.
+    kind : type of Mix
+        The kind of the offset.
     estimated : str
         A phrase if this is an estimate; empty for a regression.
     rough : bool
@@ -84,9 +97,29 @@ class Choice:
     weights: tuple[tuple[str, float], ...]
     plane: tuple[str, ...] = ()
     out: float = 0.0
+    kind: type[Mix] = Mix
     estimated: str = ""
     rough: bool = False
     last: bool = False
+
+
+@dataclass(frozen=True)
+class MarkerSet:
+    """A marker set with a convention of its own.
+
+    Attributes
+    ----------
+    labels : tuple of str
+        Its labels of both sides in lower case.
+    least : int
+        The smallest number of them by which the set is recognised.
+    joints : dict of str to tuple of Choice
+        The alternatives of joints, which count before those of all sets.
+    """
+
+    labels: frozenset[str]
+    least: int
+    joints: Mapping[str, tuple[Choice, ...]]
 
 
 @dataclass(frozen=True)
@@ -101,6 +134,8 @@ class Reading:
         True for a set of markers on the skin, False for one of joint centres.
     unread : tuple of str
         The labels that name nothing.
+    sets : tuple of str
+        The marker sets with a convention of their own that the labels belong to.
     made : dict
         The mixes of joints that have been made of them.
     """
@@ -108,6 +143,7 @@ class Reading:
     labels: dict[str, tuple[str, ...]]
     skin: bool
     unread: tuple[str, ...]
+    sets: tuple[str, ...] = ()
     made: dict[str, dict[Mix, Choice]] = field(default_factory=dict, compare=False, repr=False)
 
     @property
@@ -139,6 +175,8 @@ class Landmarks:
         The alternatives of each point that regressions use.
     orders : dict of str to tuple of str
         The labels of points that files without names hold, by the program that writes them so.
+    sets : dict of str to MarkerSet
+        The marker sets whose convention differs from that of the others.
     """
 
     skin: Table
@@ -150,6 +188,7 @@ class Landmarks:
     joints: Mapping[str, tuple[Choice, ...]]
     points: Mapping[str, tuple[Choice, ...]]
     orders: Mapping[str, tuple[str, ...]]
+    sets: Mapping[str, MarkerSet]
     _keys: dict[str, tuple[str, ...]] = field(default_factory=dict, init=False, repr=False)
     _readings: dict[tuple[str, ...], Reading] = field(default_factory=dict, init=False, repr=False)
 
@@ -170,16 +209,18 @@ class Landmarks:
         """Return the mixes of every joint, as `mixes` does, and cache them, since files of an archive share labels."""
         for joint in joints:
             if joint not in reading.made:
-                reading.made[joint] = self.mixes(joint, reading.labels)
+                reading.made[joint] = self.mixes(joint, reading.labels, reading.sets)
         return {joint: reading.made[joint] for joint in joints}
 
     def _read(self, labels: Sequence[str], prefix: str, ending: str) -> Reading:
-        of_model = model_labels(labels)
-        keys = {
-            label: self._key_of(label.removeprefix(prefix).removesuffix(ending))
-            for label in labels
-            if label not in of_model
-        }
+        short = {label: label.removeprefix(prefix).removesuffix(ending).rpartition(":")[2] for label in labels}
+        of_model = model_labels(list(short.values()))
+        keys = {}
+        for label, name in short.items():
+            if name not in of_model:
+                keys[label] = self._key_of(name)
+            elif name[1:] in _MODEL_JOINTS:
+                keys[label] = (name[0].lower() + _MODEL_JOINTS[name[1:]],)
         skin = self._found(keys, self.skin)
         centres = self._found(keys, self.centres)
         own = len({label for label, _, _ in skin} - {label for label, _, _ in centres})
@@ -190,7 +231,9 @@ class Landmarks:
             centres = [hit for hit in centres if hit[0] in explicit or hit[1][0] not in "lr"]
         named = _assigned([*(skin if is_skin else ()), *centres], self.order, self.many)
         used = {label for found in named.values() for label in found}
-        return Reading(named, is_skin, tuple(label for label in labels if label not in used))
+        forms = {form for known in keys.values() for form in known}
+        sets = tuple(name for name, one in self.sets.items() if len(forms & one.labels) >= one.least)
+        return Reading(named, is_skin, tuple(label for label in labels if label not in used), sets)
 
     def _key_of(self, label: str) -> tuple[str, ...]:
         """Return the forms under which a label is looked up: all its words, and its words without a side."""
@@ -215,7 +258,7 @@ class Landmarks:
             hits += [(label, landmark, rank) for landmark, rank in known]
         return hits
 
-    def mixes(self, joint: str, labels: Mapping[str, tuple[str, ...]]) -> dict[Mix, Choice]:
+    def mixes(self, joint: str, labels: Mapping[str, tuple[str, ...]], sets: Sequence[str] = ()) -> dict[Mix, Choice]:
         """Return the mixes of labels from which a joint can be computed, best first, each with its choice.
 
         Parameters
@@ -224,10 +267,13 @@ class Landmarks:
             A named joint.
         labels : Mapping of str to tuple of str
             Landmark → its labels in the file.
+        sets : sequence of str
+            The marker sets that they belong to, whose choices come first.
         """
         mixes: dict[Mix, Choice] = {}
-        for choice in self.joints.get(joint, ()):
-            found = () if choice.last and mixes else self._expanded(choice, labels)
+        own = [choice for name in sets for choice in self.sets[name].joints.get(joint, ())]
+        for choice in (*own, *self.joints.get(joint, ())):
+            found = () if choice.last and mixes else self._expanded(choice, labels, sets)
             marked = self._marked(choice, labels) if found else choice
             for mix in found:
                 mixes.setdefault(mix, marked)
@@ -242,8 +288,12 @@ class Landmarks:
                 choice = replace(choice, estimated=marked.estimated, rough=marked.rough)
         return choice
 
-    def _expanded(self, choice: Choice, labels: Mapping[str, tuple[str, ...]]) -> list[Mix]:
+    def _expanded(self, choice: Choice, labels: Mapping[str, tuple[str, ...]], sets: Sequence[str] = ()) -> list[Mix]:
+        corners = {name: corner for name in choice.plane if " " in name for corner in self._corner(name, labels, sets)}
+        if any(" " in name and name not in corners for name in choice.plane):
+            return []
         used = list(dict.fromkeys([*(name for name, _ in choice.weights), *choice.plane]))
+        used = [name for name in used if name not in corners]
         ways = [self._ways(name, labels) for name in used]
         mixes = []
         for combination in product(*ways):
@@ -252,11 +302,18 @@ class Landmarks:
             for name, weight in choice.weights:
                 for label, share in way[name]:
                     weights[label] = weights.get(label, 0.0) + weight * share
-            plane = tuple(way[name][0][0] for name in choice.plane)
+            plane = tuple(corners[name] if name in corners else way[name][0][0] for name in choice.plane)
             if len(set(plane)) == len(plane):
                 rounded = tuple((label, round(weight, 6)) for label, weight in weights.items() if abs(weight) > 1e-9)
-                mixes.append(Mix(rounded, plane=plane, out=choice.out if plane else 0.0))
+                mixes.append(choice.kind(rounded, plane=plane, out=choice.out if plane else 0.0))
         return mixes
+
+    def _corner(self, name: str, labels: Mapping[str, tuple[str, ...]], sets: Sequence[str]) -> list[Mix]:
+        """Return the combination of a corner of a plane, such as `joint lhip` or `point lgrip`; empty without any."""
+        kind, _, part = name.partition(" ")
+        if kind == "joint":
+            return list(self.mixes(part, labels, sets))[:1]
+        return [Mix(way) for way in self._ways(part, labels)[:1]]
 
     def _ways(self, name: str, labels: Mapping[str, tuple[str, ...]]) -> list[tuple[tuple[str, float], ...]]:
         """Return the weights over labels with which a landmark or a point can be computed, the best first."""
@@ -391,14 +448,20 @@ def _landmarks(located: Located, parsed: _LandmarkFile) -> Landmarks:
     known = {*order, *points}
     orders = {name: tuple(labels) for name, labels in parsed.orders.items()}
     left = {name: _choices(located, "joints", name, ways) for name, ways in parsed.joints.items()}
-    joints = _mirrored(left, [*order, *points])
-    for joint, choices in joints.items():
+    names = [*order, *points]
+    joints = _mirrored(left, names)
+    sets = {}
+    for name, one in parsed.sets.items():
+        labels = frozenset(side + label for label in one.labels for side in "lr")
+        own = {joint: _choices(located, "sets", joint, ways) for joint, ways in one.joints.items()}
+        sets[name] = MarkerSet(labels, one.least, _mirrored(own, [*names, *joints]))
+    for joint, choices in [pair for made in (joints, *(one.joints for one in sets.values())) for pair in made.items()]:
         for choice in choices:
             for name in (*(name for name, _ in choice.weights), *choice.plane):
-                if name not in known:
+                if name.rpartition(" ")[2] not in (joints if name.startswith("joint ") else known):
                     raise located.error(f"no landmark is called '{name}'", "joints", joint)
     return Landmarks(
-        skin, centres, tuple(order), frozenset(many), sides, tuple(parsed.suffixes), joints, points, orders
+        skin, centres, tuple(order), frozenset(many), sides, tuple(parsed.suffixes), joints, points, orders, sets
     )
 
 
@@ -455,7 +518,8 @@ def _choices(located: Located, section: str, name: str, ways: Sequence[Mapping[s
         if abs(sum(weights.values()) - 1.0) > 1e-9:
             raise located.error(f"the weights must add up to 1, got {sum(weights.values()):g}", section, name, i)
         plane, out = (tuple(aside["plane"]), float(aside["times"])) if aside else ((), 0.0)
-        choices.append(Choice(tuple(weights.items()), plane, out, estimated, rough, last))
+        kind = KINDS[aside.get("kind", "normal")] if aside else Mix
+        choices.append(Choice(tuple(weights.items()), plane, out, kind, estimated, rough, last))
     return tuple(choices)
 
 
@@ -465,19 +529,20 @@ def _mirrored(found: Mapping[str, tuple[Choice, ...]], names: Iterable[str]) -> 
     sided |= {name[1:] for name in found if name[0] == "l"}
 
     def other(name: str) -> str:
+        if " " in name:
+            kind, _, part = name.partition(" ")
+            return f"{kind} {other(part)}"
         return {"l": "r", "r": "l"}[name[0]] + name[1:] if name[0] in "lr" and name[1:] in sided else name
 
     mirrored = dict(found)
     for name, choices in found.items():
         if name[0] == "l" and name[1:] in sided:
             mirrored["r" + name[1:]] = tuple(
-                Choice(
-                    tuple((other(part), weight) for part, weight in choice.weights),
-                    tuple(other(part) for part in choice.plane),
-                    -choice.out,
-                    choice.estimated,
-                    choice.rough,
-                    choice.last,
+                replace(
+                    choice,
+                    weights=tuple((other(part), weight) for part, weight in choice.weights),
+                    plane=tuple(other(part) for part in choice.plane),
+                    out=choice.out if choice.kind is Chord else -choice.out,
                 )
                 for choice in choices
             )

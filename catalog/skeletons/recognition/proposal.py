@@ -7,7 +7,7 @@ from collections.abc import Iterable
 import numpy as np
 
 from kinedex.catalog.configs import scalar
-from kinedex.catalog.skeletons.skeleton_fit import Fit, Mix
+from kinedex.catalog.skeletons.skeleton_fit import KINDS, Fit, Mix
 from kinedex.ops.arrays import F64
 
 _HELP = (
@@ -80,8 +80,9 @@ def _mix(mix: Mix) -> str:
         return f"{{virtual: {{{weights}}}}}"
     if not mix.plane:
         return f"{{nodes: {{{weights}}}}}"
-    plane = ", ".join(scalar(name) for name in mix.plane)
-    return f"{{nodes: {{{weights}}}, aside: {{plane: [{plane}], times: {mix.out:.6g}}}}}"
+    plane = ", ".join(scalar(part) if isinstance(part, str) else _mix(part) for part in mix.plane)
+    kind = next((f", kind: {kind}" for kind, made in KINDS.items() if kind != "normal" and type(mix) is made), "")
+    return f"{{nodes: {{{weights}}}, aside: {{plane: [{plane}], times: {mix.out:.6g}{kind}}}}}"
 
 
 def _weights(pairs: Iterable[tuple[str, float]]) -> str:

@@ -204,6 +204,6 @@ def test_stand_ins_place_a_joint_as_a_rigid_body_has_it() -> None:
 def test_hands_of_a_t_pose_are_not_above_the_neck(shared: Path, name: str) -> None:
     path = shared / "data" / "wild" / "pyCGM" / f"{name}.c3d"
     body = read_body(path, None, load_mappings("auto", JOINTS), JOINTS)
-    assert (body.unknown, set(body.estimated), body.valid) == ((), OUTER, None)
+    assert (body.unknown, body.estimated, body.valid) == ((), (), None)  # the model's joints are there
     words = features.words(body.positions, body.orientation, body.rate_hz, FEATURES.rules)
     assert not (words & np.uint64(0b1100)).any()
