@@ -108,8 +108,11 @@ def measured_quality(body: Body, joints: tuple[str, ...], stored: Collection[str
         A sentence for each figure beyond its limits.
     """
     figures = figures_of(body, joints)
-    recognition = {"recognition_confidence": body.confidence, "estimated_joints": " ".join(body.estimated)}
-    recognition["file_up"] = body.up or None
+    recognition: dict[str, Any] = {
+        "recognition_confidence": body.confidence,
+        "estimated_joints": " ".join(body.estimated),
+    }
+    recognition |= {"file_up": body.up or None, "filled_frames": body.filled_frames, "filled_from": body.filled_from}
     columns = {name: value for name, value in (recognition | quality_columns(figures)).items() if name in stored}
     return columns, quality_warnings(figures, body.rate_hz)
 

@@ -21,6 +21,10 @@ RECOGNITION_COLUMNS = {
         "VARCHAR", "quality", "", "the joints that the file does not hold and that are estimated, with a blank between"
     ),
     "file_up": TakeColumn("VARCHAR", "quality", "", "the axis of the file that is taken as vertical, such as z or -y"),
+    "filled_frames": TakeColumn(
+        "BIGINT", "quality", "", "source frames in which a hidden marker is placed by the other markers of its segment"
+    ),
+    "filled_from": TakeColumn("BIGINT", "quality", "", "the smallest number of markers by which one is placed so"),
 }
 """The declarations of the columns that describe how a skeleton was recognised."""
 

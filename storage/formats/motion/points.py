@@ -1,6 +1,7 @@
 """Convert points over time, such as joint positions and markers, to a body, as the readers of many formats do.
 
-Short gaps are filled by linear interpolation; frames in longer gaps are invalid.
+Short gaps are filled by linear interpolation, and hidden markers by the pose of their segment; frames in other gaps are
+invalid.
 """
 
 from __future__ import annotations
@@ -19,9 +20,10 @@ from kinedex.catalog.skeletons.mappings import Format, Mappings
 from kinedex.catalog.skeletons.recognition.recognised_tree import joint_positions
 from kinedex.catalog.skeletons.skeleton_fit import Fit, axes_of_up
 from kinedex.ops.body import kinematics
-from kinedex.ops.body.resample import Gap, fill_gaps
+from kinedex.ops.body.resample import Gap
 from kinedex.ops.body.up_axis import up_axis
 from kinedex.ops.errors import SourceError
+from kinedex.storage.formats.motion.hidden_markers import close_gaps, placed_in_words
 from kinedex.storage.formats.motion.mapped_body import (
     recognition_evidence,
     recognition_warnings,
@@ -131,18 +133,20 @@ def body_of_points(
     rate_hz = _rate(points, settings, warnings)
     longest = settings.gap_frames(rate_hz)
     used = list(fit.nodes)
-    closed, left = _fill(points.positions, used, longest)
+    closed = close_gaps(points.positions, used, longest, names if fit.recognised else None)
     positions = _placed(points.positions, fit, joints)
     known = [i for i, joint in enumerate(joints) if joint not in fit.unknown]
     valid: Mask = np.ones(positions.shape[2], np.bool_)
     for i in known:
         valid &= np.logical_not(np.isnan(positions[i]).any(axis=0))
     called = [names[index] for index in used]
-    if closed:
-        warnings.append(f"gaps closed along straight lines: {_gaps_in_words(closed, called)}")
+    if closed.lines:
+        warnings.append(f"gaps closed along straight lines: {_gaps_in_words(closed.lines, called)}")
+    if closed.markers:
+        warnings.append(placed_in_words(closed, names))
     if not valid.all():
         lost = [joints[i] for i in known if np.isnan(positions[i]).any()]
-        warnings.append(_invalid(path, fit, valid, left, longest, called, lost))
+        warnings.append(_invalid(path, fit, valid, closed.left, longest, called, lost))
     first = int(np.argmax(valid))
     stated = unit_source(fit, in_file=points.unit_m is not None)
     evidence = list(recognition_evidence(fit))
@@ -166,6 +170,8 @@ def body_of_points(
         estimated=tuple(estimated),
         confidence=fit.confidence,
         evidence=tuple(evidence),
+        filled_frames=closed.frames,
+        filled_from=closed.least,
     )
 
 
@@ -185,18 +191,6 @@ def _rate(points: Points, settings: ReadSettings, warnings: list[str]) -> float:
     if points.clock_hz is not None and abs(points.clock_hz - rate_hz) > 0.01 * rate_hz:
         warnings.append(f"it is read at {rate_hz:.6g} Hz, but by the times in the file it is {points.clock_hz:.6g} Hz")
     return rate_hz
-
-
-def _fill(positions: F64, used: list[int], longest: int) -> tuple[list[Gap], list[Gap]]:
-    """Fill short gaps of the used points in place; return filled and remaining gaps, with indices into `used`."""
-    closed: list[Gap] = []
-    left: list[Gap] = []
-    for place, index in enumerate(used):
-        if np.isnan(positions[index]).any():
-            (positions[index],), *gaps = fill_gaps(positions[index : index + 1], longest)
-            for found, of_point in zip((closed, left), gaps, strict=True):
-                found += [replace(gap, point=place) for gap in of_point]
-    return closed, left
 
 
 def _placed(points: F64, fit: Fit, joints: tuple[str, ...]) -> F64:

@@ -67,6 +67,10 @@ class Body:
         Sentences on how body, axes and unit were found, for `kinedex inspect`.
     up : str
         The axis of the file that is taken as vertical, such as "z" or "-y"; empty if the reader does not tell.
+    filled_frames : int
+        The number of frames in which a hidden marker is placed by the other markers of its segment.
+    filled_from : int, optional
+        The smallest number of markers by which one is placed so; None where none is.
     """
 
     positions: npt.NDArray[np.float64]
@@ -81,6 +85,8 @@ class Body:
     confidence: float = 1.0
     evidence: tuple[str, ...] = ()
     up: str = ""
+    filled_frames: int = 0
+    filled_from: int | None = None
 
     @property
     def frames(self) -> int:

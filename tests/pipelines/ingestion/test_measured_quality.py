@@ -40,7 +40,8 @@ def test_a_store_has_the_figures_as_columns_and_sql_asks_for_them(tmp_path: Path
     store = open_store(tmp_path / "store")
     columns = store.manifest.columns
     assert {name for name, one in columns.items() if one.origin == "quality"} == {
-        "recognition_confidence", "estimated_joints", "file_up", *(figure.name for figure in FIGURES),
+        "recognition_confidence", "estimated_joints", "file_up", "filled_frames", "filled_from",
+        *(figure.name for figure in FIGURES),
     }  # fmt: skip
     assert columns["height_m"].unit == "m"
     rows = {row["name"]: row for row in store.takes().to_dicts()}

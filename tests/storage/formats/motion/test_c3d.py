@@ -417,10 +417,11 @@ def test_files_of_several_vendors_come_in_or_say_what_they_lack(shared: Path) ->
     rolling = found["03_rolling"]
     assert rolling.warnings[0] == "it begins with frame 1368 of its recording, which is source frame 0 here"
     assert rolling.valid is not None
-    assert np.count_nonzero(rolling.valid) > 900  # it lies on its markers: half of them are hidden at a time
+    assert np.count_nonzero(rolling.valid) > 1300  # it lies on its markers: half of them are hidden at a time
+    assert rolling.filled_frames > 1300
     for side in "lr":
         thigh = np.linalg.norm(joint(rolling, f"{side}hip") - joint(rolling, f"{side}knee"), axis=0)[rolling.valid]
-        assert np.median(thigh) == pytest.approx(0.44, abs=0.02)
+        assert np.median(thigh) == pytest.approx(0.44, abs=0.05)
         assert np.std(thigh) < 0.035
     for name, marker in (("Vicon", "Daphnee:ASISl"), ("Optotrak", "Marker_1")):
         with pytest.raises(SourceError, match=f"no human body is recognised among its points: .* labels .*{marker}"):

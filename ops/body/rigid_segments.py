@@ -1,0 +1,195 @@
+"""Fit the pose of a rigid segment to those of its markers that are seen, and place the hidden ones by it.
+
+The pose is the rotation and shift that fit the markers' places in a template by least squares (W. Kabsch, Acta
+Crystallographica A32 (1976), 922-923).
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from kinedex.ops.arrays import F64, I64, Bool
+from kinedex.ops.errors import ParameterError
+
+MIN_MARKERS = 3
+"""The smallest number of markers that determine a pose."""
+
+_FLAT = 0.05  # ratio of the second to the first extent of a template, below which its markers lie on a line
+_ROUNDS = 3  # rounds of fitting frames to their mean shape, after which it no longer moves
+_MOST_FRAMES = 400  # frames that a template is made of, spread evenly
+_FEW_FRAMES = 8  # least frames in which all markers are seen
+_MOST_PATTERNS = 12  # sets of markers that are seen together, the most frequent ones first
+_FARTHEST = 1e100  # coordinates whose products are finite
+_NEAREST = (4, 3)  # further numbers of markers that are tried, those whose distance to the hidden one varies least
+
+
+class Poses(NamedTuple):
+    """The poses of a segment in T frames: a point p of the template lies at rotations[t] @ p + shifts[t]."""
+
+    rotations: F64
+    shifts: F64
+
+
+class Placed(NamedTuple):
+    """A hidden marker as its segment places it.
+
+    Attributes
+    ----------
+    positions : float64 array (3, T)
+        NaN in frames in which it is not placed.
+    markers : int64 array (T,)
+        The number of markers that the pose was fitted to; 0 where it is not placed.
+    """
+
+    positions: F64
+    markers: I64
+
+
+def fit_poses(template: F64, positions: F64) -> Poses:
+    """Return the poses by which a template fits markers best, the least squares of their distances.
+
+    Parameters
+    ----------
+    template : float64 array (N, 3)
+        The places of at least three markers in the axes of their segment, which do not lie on a line.
+    positions : float64 array (N, 3, T)
+        Their places in T frames, all of them finite.
+
+    Raises
+    ------
+    ParameterError
+        There are fewer than three markers, or they lie on a line, so that the turn about it is unknown.
+    """
+    if not is_spread(template):
+        raise ParameterError("template", f"{MIN_MARKERS} markers or more that do not lie on a line", template.tolist())
+    return _poses(template, positions)
+
+
+def _poses(template: F64, positions: F64) -> Poses:
+    middle, middles = template.mean(axis=0), positions.mean(axis=0)
+    products = np.einsum("ni,njt->tji", template - middle, positions - middles)
+    left, _, right = np.linalg.svd(products)
+    left[:, :, 2] *= np.sign(np.linalg.det(left) * np.linalg.det(right))[:, None]
+    rotations = left @ right
+    return Poses(rotations, middles.T - rotations @ middle)
+
+
+def is_spread(template: F64) -> bool:
+    """Return whether the markers of a template (N, 3) do not lie on a line, so that they determine a pose."""
+    extents = np.linalg.svd(template - template.mean(axis=0), compute_uv=False)
+    return bool(len(template) >= MIN_MARKERS and extents[1] > _FLAT * extents[0])
+
+
+def mean_shape(positions: F64) -> F64:
+    """Return the mean places (N, 3) of markers (N, 3, T) in the axes of their segment, which is that of a middle frame.
+
+    Raises
+    ------
+    ParameterError
+        There are fewer than three markers, or they lie on a line.
+    """
+    shape = positions[:, :, positions.shape[2] // 2]
+    shape = shape - shape.mean(axis=0)
+    for _ in range(_ROUNDS):
+        shape = in_segment(fit_poses(shape, positions), positions).mean(axis=2)
+    return shape
+
+
+def in_segment(poses: Poses, positions: F64) -> F64:
+    """Return the places (N, 3, T) of markers in the axes of their segment."""
+    return np.einsum("tji,njt->nit", poses.rotations, positions - poses.shifts.T)
+
+
+def placed_by_segment(positions: F64, hidden: int, wanted: Bool, tolerance: float) -> Placed:
+    """Place a hidden marker by the pose of its segment, which is fitted to the other markers.
+
+    Each set of markers that are seen together is tried on the frames in which the hidden one is seen, too: half of them
+    make the template, the other half judge it. Where the marker appears beside the template at the ends of a
+    gap, its place in the segment goes straight from one end to the other.
+
+    Parameters
+    ----------
+    positions : float64 array (N, 3, T)
+        The markers of a segment; NaN where one is not seen.
+    hidden : int
+        Index of the marker to place.
+    wanted : bool array (T,)
+        The frames in which it is to be placed.
+    tolerance : float
+        The largest error in nine of ten frames that judge a template, in the unit of the positions.
+    """
+    seen: Bool = np.asarray(np.isfinite(positions).all(axis=1))
+    placed = np.full(positions.shape[1:], np.nan)
+    used = np.zeros(positions.shape[2], np.int64)
+    own = seen[hidden].copy()
+    seen[hidden] = False
+    spread = _distance_spread(positions, hidden)
+    patterns, which, counts = np.unique(seen[:, wanted], axis=1, return_inverse=True, return_counts=True)
+    frames = np.flatnonzero(wanted)
+    for k in np.argsort(-counts, kind="stable")[:_MOST_PATTERNS]:
+        there = np.flatnonzero(patterns[:, k])
+        best = _best_template(positions, hidden, own, there[np.argsort(spread[there], kind="stable")], tolerance)
+        if best is not None:
+            at = frames[which.reshape(-1) == k]
+            placed[:, at] = _between_ends(positions, hidden, own, best, at)
+            used[at] = len(best.markers)
+    return Placed(placed, used)
+
+
+class _Template(NamedTuple):
+    """Markers, their places in the segment, the place of the hidden one, and the error of it in other frames."""
+
+    markers: I64
+    shape: F64
+    place: F64
+    error: float
+
+
+def _distance_spread(positions: F64, hidden: int) -> F64:
+    """Return the standard deviation of the distance between each marker and the hidden one; infinite without any."""
+    away = np.linalg.norm(positions - positions[hidden], axis=1)
+    known = np.isfinite(away)
+    counts = known.sum(axis=1)
+    means = np.where(known, away, 0.0).sum(axis=1) / np.maximum(counts, 1)
+    squares = np.where(known, (away - means[:, None]) ** 2, 0.0).sum(axis=1)
+    return np.where(counts > 0, np.sqrt(squares / np.maximum(counts, 1)), np.inf)
+
+
+def _best_template(positions: F64, hidden: int, own: Bool, there: I64, tolerance: float) -> _Template | None:
+    """Return the template with the smallest error, of the markers that are seen and of the steadiest of these."""
+    counts = dict.fromkeys((len(there), *(n for n in _NEAREST if n < len(there))))
+    made = [_template(positions, hidden, own, there[:count]) for count in counts if count >= MIN_MARKERS]
+    best = min((one for one in made if one is not None), key=lambda one: one.error, default=None)
+    return best if best is not None and best.error <= tolerance else None
+
+
+def _template(positions: F64, hidden: int, own: Bool, markers: I64) -> _Template | None:
+    frames = np.flatnonzero(own & np.isfinite(positions[markers]).all(axis=(0, 1)))
+    if len(frames) < _FEW_FRAMES:
+        return None
+    frames = frames[np.unique(np.linspace(0, len(frames) - 1, min(len(frames), _MOST_FRAMES)).astype(int))]
+    places = positions[np.append(markers, hidden)][:, :, frames]
+    if not np.abs(places).max() < _FARTHEST:
+        return None
+    try:
+        shape = mean_shape(places[:-1])
+        inside = in_segment(fit_poses(shape, places[:-1]), places[-1:])[0]
+    except ParameterError:  # they lie on a line
+        return None
+    first = inside[:, ::2].mean(axis=1)
+    error = float(np.percentile(np.linalg.norm(inside[:, 1::2] - first[:, None], axis=0), 90))
+    return _Template(markers, shape, inside.mean(axis=1), error)
+
+
+def _between_ends(positions: F64, hidden: int, own: Bool, template: _Template, frames: I64) -> F64:
+    """Return the hidden marker (3, n) in frames, its place in the segment being that at the ends of its gap."""
+    known = np.flatnonzero(own & np.isfinite(positions[template.markers]).all(axis=(0, 1)))
+    after = np.searchsorted(known, frames)
+    ends = np.unique(np.concatenate([known[np.maximum(after - 1, 0)], known[np.minimum(after, len(known) - 1)]]))
+    poses = _poses(template.shape, positions[template.markers][:, :, ends])
+    at_ends = in_segment(poses, positions[hidden][None, :, ends])[0]
+    inside = np.stack([np.interp(frames, ends, row) for row in at_ends])
+    poses = _poses(template.shape, positions[template.markers][:, :, frames])
+    return np.einsum("tij,jt->it", poses.rotations, inside) + poses.shifts.T
