@@ -103,6 +103,8 @@ class _SkeletonFile(BaseModel):
     aliases: dict[str, list[str]] = Field(default_factory=dict)
     limbs: dict[str, LimbEntry] = Field(default_factory=dict)
     joints: dict[str, Any]  # see `_mix`
+    estimated: dict[str, str] = Field(default_factory=dict)
+    rough: list[str] = Field(default_factory=list)
 
 
 @dataclass(frozen=True)
@@ -151,7 +153,9 @@ class Mappings:
 
     def exact(self, source: str | Path, form: Format, nodes: Mapping[str, int]) -> Fit | None:
         """Return the fit of the mapping whose nodes all occur in a skeleton, as in `detect`; None if there is none."""
-        own = _best(source, [mapping.fit(nodes) for mapping in self.own.get(form, ())])
+        fits = [mapping.fit(nodes) for mapping in self.own.get(form, ()) if mapping.is_for(source, nodes)]
+        # a mapping for certain files goes before those for all files with its names
+        own = _best(source, [fit for fit in fits if fit.mapping.only is not None]) or _best(source, fits)
         if own is not None:
             return own
         usable = [mapping for mapping in self.of_format.get(form, ()) if self._may_fit(mapping, source, nodes)]
@@ -402,16 +406,14 @@ def parse_skeleton(located: Located, joints: tuple[str, ...]) -> SkeletonMapping
             re.compile(getattr(parsed, key) or "")
         except re.error as fault:
             raise located.error(f"is no regular expression: {fault}", key) from None
+    _check_estimated(located, parsed)
     axes = _axes(located, parsed.up, parsed.facing, parsed.handedness, "facing")
     own = parsed.root_axes
     choices = {joint: _choices(located, parsed, joint) for joint in parsed.joints}
     return SkeletonMapping(
         name=parsed.name,
         path=located.path,
-        # no take depends on `limbs`
-        digest=hashlib.sha256(json.dumps(parsed.model_dump(exclude={"limbs"}), sort_keys=True).encode()).hexdigest()[
-            :16
-        ],
+        digest=_digest(parsed),
         format=parsed.format,
         unit_m=None if unit_m == "guess" else float(unit_m),
         axes=axes,
@@ -424,7 +426,26 @@ def parse_skeleton(located: Located, joints: tuple[str, ...]) -> SkeletonMapping
         aliases={name: tuple(others) for name, others in parsed.aliases.items()},
         screen=parsed.format == "c3d" and parsed.screen is not False,
         limbs=limb_sources(located, parsed.limbs, parsed.format, joints),
+        estimated=parsed.estimated,
+        rough=tuple(parsed.rough),
     )
+
+
+def _digest(parsed: _SkeletonFile) -> str:
+    """Return a hash of the parts of a mapping on which takes depend."""
+    # no take depends on `limbs`; keys that came later count only where they are given, so that takes are not read again
+    unused = {"limbs", *(key for key in ("estimated", "rough") if not getattr(parsed, key))}
+    return hashlib.sha256(json.dumps(parsed.model_dump(exclude=unused), sort_keys=True).encode()).hexdigest()[:16]
+
+
+def _check_estimated(located: Located, parsed: _SkeletonFile) -> None:
+    """Raise a ConfigError for a joint that is said to be estimated, and that the mapping does not have."""
+    for joint in parsed.estimated:
+        if parsed.joints.get(joint) is None:
+            raise located.error("no joint of that name is made by this mapping", "estimated", joint)
+    for number, joint in enumerate(parsed.rough):
+        if joint not in parsed.estimated:
+            raise located.error(f"'{joint}' is not among the joints of `estimated`", "rough", number)
 
 
 def _choices(located: Located, parsed: _SkeletonFile, joint: str) -> tuple[Mix | None, ...]:
@@ -528,6 +549,13 @@ class WatchedMappings(Mappings):
         self.question.form, self.question.nodes, self.question.fit = form, dict(nodes), None
         self.question.fit = super().exact(source, form, nodes)
         return self.question.fit
+
+    def detect(
+        self, source: str | Path, form: Format, nodes: Mapping[str, int], evidence: Evidence | None = None
+    ) -> Fit:
+        """Record the evidence, and return the fit of the mapping whose nodes all occur in a skeleton, as `Mappings`."""
+        self.question.evidence = evidence
+        return super().detect(source, form, nodes, evidence)
 
     def recognised(self, source: str | Path, form: Format, evidence: Evidence) -> Fit:
         """Record the evidence, and return the fit that recognition makes."""

@@ -233,6 +233,8 @@ class SkeletonMapping:
         Regular expression that a file's name or the name of a node must contain for the mapping to be detected.
     limbs : Mapping[str, LimbSource]
         Nodes, markers and axes of limbs where these do not follow from the joints.
+    estimated, rough : Mapping[str, str], tuple of str
+        As in `Fit`, by the file's own statement.
     """
 
     name: str
@@ -250,6 +252,8 @@ class SkeletonMapping:
     aliases: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
     only: str | None = None
     limbs: Mapping[str, LimbSource] = field(default_factory=dict)
+    estimated: Mapping[str, str] = field(default_factory=dict)
+    rough: tuple[str, ...] = ()
 
     def is_for(self, source: str | Path, nodes: Iterable[str]) -> bool:
         """Return True if `only` is None, or if it matches the file's name or a node's, so that detection may use it."""
@@ -313,7 +317,9 @@ class SkeletonMapping:
             lacking = [name for name in (bone, *weights) if name not in positions]
             if lacking:
                 missing[f"bone '{bone}'"] = lacking[0]
-        return Fit(self, positions, found, missing, instead)
+        estimated = {joint: how for joint, how in self.estimated.items() if found.get(joint) is not None}
+        rough = tuple(joint for joint in self.rough if joint in estimated)
+        return Fit(self, positions, found, missing, instead, estimated=estimated, rough=rough)
 
     def apply(self, source: str | Path, nodes: Mapping[str, int], positions: F64, joints: tuple[str, ...]) -> F64:
         """Compute the positions of the named joints from the positions of the nodes.

@@ -302,6 +302,13 @@ DOCUMENTS: dict[str, dict[str, str]] = {
         "file": "path of the mapping that was written",
         "yaml": "its text",
     },
+    "mapping nodes": {
+        "file": "the argument FILE",
+        "refused": "why the file is refused, or null",
+        "nodes": "for each node its name `node`, the joint or landmark `name` that it is taken for, the `reason`, and "
+        "the `joints` that are made of it",
+        "names": "the joints and landmarks that `kinedex mapping new --name` takes",
+    },
     "mapping add": {**_STORE, "kept": "for each mapping its `name` and `file`"},
     "mapping remove": {**_STORE, "removed": "name of the mapping"},
     "version": {

@@ -1,7 +1,8 @@
-"""Define the commands about skeleton mappings: mapping new, add, list, remove."""
+"""Define the commands about skeleton mappings: mapping new, nodes, add, list, remove."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Annotated
 
@@ -9,7 +10,7 @@ import typer
 
 from kinedex.commands.app import MAINTAIN, command, group
 from kinedex.commands.options import JsonOption, StorePath, WaitOption, writer_of
-from kinedex.commands.output import print_json
+from kinedex.commands.output import print_json, show_table
 from kinedex.ops.errors import KinedexError, did_you_mean
 from kinedex.ops.wording import visible
 
@@ -24,19 +25,32 @@ def new(
     source: Annotated[
         Path | None, typer.Option(metavar="DIR", help="Source root; the ASF of an AMC file is looked for up to it.")
     ] = None,
+    name: Annotated[
+        list[str] | None,
+        typer.Option(
+            metavar="NODE=JOINT",
+            help="A joint or landmark that a node is, whatever it is called; `none` for neither. May be given several "
+            "times; `kinedex mapping nodes FILE` lists nodes and names.",
+        ),
+    ] = None,
+    only: Annotated[
+        str | None,
+        typer.Option(metavar="REGEX", help="Use the mapping only for files whose names this expression is found in."),
+    ] = None,
     force: Annotated[bool, typer.Option("--force", help="Overwrite an existing file.")] = False,
     as_json: JsonOption = False,
 ) -> None:
     """Write a skeleton mapping for a motion file, to be edited.
 
     If a known mapping fits the names of the file, it is written; otherwise a proposal is made from the recognised
-    names, even if the file is refused. Comments name what is estimated and what was not found.
+    names, even if the file is refused. What is estimated and what was not found stands in it. With --name, the other
+    joints are estimated again from the nodes that you name.
     """
     from kinedex.pipelines.inspection.mapping_proposal import propose_mapping
 
     if output.exists() and not force:
         raise KinedexError(f"{output}: exists already; give another name, or --force to overwrite it")
-    text = propose_mapping(file, output.stem, person, source)
+    text = propose_mapping(file, output.stem, person, source, named=_named(name or ()), only=only)
     try:
         output.write_text(text, encoding="utf-8")
     except OSError as fault:
@@ -45,6 +59,60 @@ def new(
         print_json({"motion_file": file, "file": output, "yaml": text})
         return
     print(visible(f"{output}: edit it, and check it by `kinedex inspect {file} --skeleton {output}`"))
+
+
+def _named(given: Sequence[str]) -> dict[str, str]:
+    """Return the names of nodes that --name has given; a node may have a = in its name."""
+    found = {}
+    for text in given:
+        node, sign, joint = text.rpartition("=")
+        if not sign or not node or not joint:
+            raise typer.BadParameter(f"--name {text}: expected NODE=JOINT, such as LKNE=lkneelat")
+        found[node] = joint
+    return found
+
+
+@command(of=mapping)
+def nodes(
+    file: Annotated[Path, typer.Argument(help="Motion file.")],
+    person: Annotated[str, typer.Option(help="The person of a file of several.")] = "",
+    source: Annotated[
+        Path | None, typer.Option(metavar="DIR", help="Source root; the ASF of an AMC file is looked for up to it.")
+    ] = None,
+    as_json: JsonOption = False,
+) -> None:
+    """List the nodes of a motion file, what each is taken for, and why.
+
+    Nodes are the markers or the joints of the file; it may be a file that is refused. The names that `kinedex mapping
+    new --name` takes are listed as well.
+    """
+    import pyarrow as pa
+
+    from kinedex.catalog.features import load_feature_set
+    from kinedex.catalog.skeletons.mappings import load_mappings
+    from kinedex.catalog.skeletons.named_nodes import guessed_fit, node_guesses, node_names
+    from kinedex.storage.formats.motion.file_nodes import read_file_nodes
+
+    mappings = load_mappings("auto", load_feature_set().joints)
+    found = read_file_nodes(file, mappings, person, source)
+    guesses = node_guesses(found.asked, mappings, guessed_fit(found.asked, mappings), {})
+    names = node_names(found.asked, mappings)
+    if as_json:
+        rows = [{"node": one.node, "name": one.name, "reason": one.reason, "joints": one.joints} for one in guesses]
+        print_json({"file": file, "refused": found.fault and found.fault.reason, "nodes": rows, "names": names})
+        return
+    show_table(
+        pa.table(
+            {
+                "node": [one.node for one in guesses],
+                "taken for": [one.name or None for one in guesses],
+                "reason": [one.reason for one in guesses],
+                "joints made of it": [", ".join(one.joints) for one in guesses],
+            }
+        ),
+        paged=True,
+    )
+    print(visible(f"names: {', '.join(names)}, or none"))
 
 
 @command(of=mapping)

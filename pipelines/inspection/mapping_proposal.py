@@ -8,20 +8,23 @@ from pathlib import Path
 
 from kinedex.catalog.configs import read_text, scalar
 from kinedex.catalog.features import load_feature_set
-from kinedex.catalog.skeletons.mappings import MappingRequest, WatchedMappings, load_mappings
-from kinedex.catalog.skeletons.recognition.points import propose_points
+from kinedex.catalog.skeletons.mappings import MappingRequest, Mappings, load_mappings
+from kinedex.catalog.skeletons.named_nodes import named_fit
 from kinedex.catalog.skeletons.recognition.proposal import mapping_yaml
-from kinedex.catalog.skeletons.recognition.recognised_tree import propose_tree
 from kinedex.catalog.skeletons.skeleton_fit import Fit, Mix
 from kinedex.ops.errors import SourceError
+from kinedex.storage.formats.motion.file_nodes import FileNodes, read_file_nodes
 from kinedex.storage.formats.motion.reader import DEFAULT_SETTINGS, ReadSettings
-from kinedex.storage.formats.motion.reader_table import read_body
-from kinedex.storage.formats.motion.single_file import chosen_person, motion_ending, skeleton_beside
-from kinedex.storage.formats.motion.unpacked_files import unpacked
 
 
 def propose_mapping(
-    file: Path, name: str, person: str = "", source: Path | None = None, given: ReadSettings = DEFAULT_SETTINGS
+    file: Path,
+    name: str,
+    person: str = "",
+    source: Path | None = None,
+    given: ReadSettings = DEFAULT_SETTINGS,
+    named: Mapping[str, str] | None = None,
+    only: str | None = None,
 ) -> str:
     """Return a mapping for a motion file as YAML, even if the file is rejected.
 
@@ -37,29 +40,40 @@ def propose_mapping(
         The source root, up to which the ASF of an AMC file is searched.
     given : ReadSettings, optional
         The rate, gaps and body model given by the user.
+    named : mapping of str to str, optional
+        Node → joint or landmark that a person has named, as for `named_fit`.
+    only : str, optional
+        The regular expression by which the mapping is limited to some files.
 
     Raises
     ------
     KinedexError
-        The file is damaged, is not a motion file, or has no named nodes.
+        The file is damaged, is not a motion file, or has no named nodes; or a node cannot be named so.
     """
-    joints = load_feature_set().joints
-    mappings = WatchedMappings.of_mappings(load_mappings("auto", joints))
-    asf = skeleton_beside(file, source) if motion_ending(file) == ".amc" else None
-    fault: SourceError | None = None
-    try:
-        with unpacked(file, asf) as copy:
-            chosen = chosen_person(copy.path, copy.skeleton, mappings, person)
-            read_body(copy.path, copy.skeleton, mappings, joints, given, person=chosen)
-    except SourceError as refused:
-        fault = refused
-    asked = mappings.question
-    if asked.form is None:
-        raise fault or SourceError(file, "its reader needs no skeleton mapping")
-    return _comment(file, person, fault) + _proposal(asked, mappings, joints, name)
+    mappings = load_mappings("auto", load_feature_set().joints)
+    nodes = read_file_nodes(file, mappings, person, source, given)
+    return proposed_text(nodes, mappings, file, name, person, named, only)
 
 
-def _proposal(asked: MappingRequest, mappings: WatchedMappings, joints: tuple[str, ...], name: str) -> str:
+def proposed_text(
+    nodes: FileNodes,
+    mappings: Mappings,
+    file: Path,
+    name: str,
+    person: str,
+    named: Mapping[str, str] | None,
+    only: str | None,
+) -> str:
+    """Return a mapping for the nodes of a motion file as YAML; parameters as for `propose_mapping`."""
+    head = _comment(file, person, nodes.fault)
+    if named or only:
+        return head + mapping_yaml(
+            _of_nodes(named_fit(nodes.asked, mappings, named or {}), nodes.asked.nodes), name, only
+        )
+    return head + _proposal(nodes.asked, mappings, name)
+
+
+def _proposal(asked: MappingRequest, mappings: Mappings, name: str) -> str:
     """Return the mapping that matches, the one that recognition proposes, or the nearest one with its missing nodes."""
     if asked.form is None:
         return ""
@@ -68,11 +82,7 @@ def _proposal(asked: MappingRequest, mappings: WatchedMappings, joints: tuple[st
     if asked.evidence is None:
         near = mappings.nearest(asked.form, asked.nodes)
         return "" if near is None else _lacking(near, asked) + _renamed(near, name)
-    if asked.evidence.parents is None:
-        fit = asked.fit or propose_points(asked.evidence, joints, asked.form, mappings.landmarks)
-    else:
-        fit = asked.fit or propose_tree(asked.evidence, joints, asked.form, mappings.vocabulary)
-    return mapping_yaml(_of_nodes(fit, asked.nodes), name)
+    return mapping_yaml(_of_nodes(asked.fit or named_fit(asked, mappings, {}), asked.nodes), name)
 
 
 def _of_nodes(fit: Fit, nodes: Mapping[str, int]) -> Fit:

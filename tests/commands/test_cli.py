@@ -29,8 +29,8 @@ from kinedex.storage.store.writer import StoreWriter
 from tests.pipelines.archives import write_archive
 
 OF_OTHER_TESTS = (
-    "init", "synth", "sql", "report compare", "template ", "query ", "keyframes ", "mapping new", "mapping add",
-    "mapping remove",
+    "init", "synth", "sql", "report compare", "template ", "query ", "keyframes ", "mapping new", "mapping nodes",
+    "mapping add", "mapping remove",
 )  # fmt: skip
 COMMANDS = ["demo", "run", "plan", "ingest", "inspect", "search", "sql", "takes", "verify", "synth", "version"]
 

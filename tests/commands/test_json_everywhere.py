@@ -88,6 +88,7 @@ def test_documents_have_the_keys_of_the_reference(line: Line, tmp_path: Path) ->
         "template from-clip": run("template", "from-clip", store, "ann_kick_001"),
         "query from-clip": run("query", "from-clip", store, "ann_kick_001"),
         "mapping new": run("mapping", "new", tmp_path / "archive" / "x_ann_hop_1.amc", "-o", mapping),
+        "mapping nodes": run("mapping", "nodes", tmp_path / "archive" / "x_ann_hop_1.amc"),
         "mapping add": run("mapping", "add", store, mapping),
         "mapping remove": run("mapping", "remove", store, "mine"),
     }
@@ -95,6 +96,9 @@ def test_documents_have_the_keys_of_the_reference(line: Line, tmp_path: Path) ->
     assert (found["sql"]["columns"], found["sql"]["rows"]) == (["x", "x_1"], [{"x": 1, "x_1": 2}])
     assert len(found["template show"]["values"][0]) == len(found["template show"]["features"])
     assert found["labels export"]["segments"] == len(found["labels read"]["segments"]) > 0
+    assert {"node": "lfemur", "name": "lknee", "reason": "by the mapping 'acclaim'", "joints": ["lknee"]} in found[
+        "mapping nodes"
+    ]["nodes"]
     assert found["mapping add"]["kept"] == [{"name": "mine", "file": str(mapping)}]
 
 

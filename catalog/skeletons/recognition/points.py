@@ -15,6 +15,7 @@ import numpy as np
 from kinedex.catalog.skeletons.body_evidence import Evidence
 from kinedex.catalog.skeletons.recognition.exchanged_labels import exchanged_labels
 from kinedex.catalog.skeletons.recognition.landmarks import Landmarks, Reading, load_landmarks
+from kinedex.catalog.skeletons.recognition.named_points import named_reading, set_named_joints
 from kinedex.catalog.skeletons.recognition.point_centres import add_centres, add_regressions
 from kinedex.catalog.skeletons.recognition.point_trunk import SIDES, BodyDraft, add_ends, add_trunk
 from kinedex.catalog.skeletons.skeleton_fit import Fit, Format, Mix, SkeletonMapping, axes_of_up
@@ -84,7 +85,11 @@ def recognise_points(
 
 
 def propose_points(
-    evidence: Evidence, joints: tuple[str, ...], form: Format = "positions", landmarks: Landmarks | None = None
+    evidence: Evidence,
+    joints: tuple[str, ...],
+    form: Format = "positions",
+    landmarks: Landmarks | None = None,
+    named: Mapping[str, str] | None = None,
 ) -> Fit:
     """Return the best fit to points, however bad it is: a proposal for a person to edit.
 
@@ -92,8 +97,10 @@ def propose_points(
     ----------
     evidence, joints, form, landmarks
         As for `recognise_points`.
+    named : mapping of str to str, optional
+        Label → joint or landmark that a person has named (`recognition.named_points`), whatever the label says.
     """
-    return _recognised(evidence, joints, form, landmarks or load_landmarks())[0]
+    return _recognised(evidence, joints, form, landmarks or load_landmarks(), named)[0]
 
 
 def doubted_labels(fit: Fit, evidence: Evidence, joints: tuple[str, ...], landmarks: Landmarks | None = None) -> Fit:
@@ -110,14 +117,23 @@ def doubted_labels(fit: Fit, evidence: Evidence, joints: tuple[str, ...], landma
 
 
 @np.errstate(over="ignore", invalid="ignore")  # Absurd numbers are refused later.
-def _recognised(evidence: Evidence, joints: tuple[str, ...], form: Format, landmarks: Landmarks) -> tuple[Fit, str]:
+def _recognised(
+    evidence: Evidence,
+    joints: tuple[str, ...],
+    form: Format,
+    landmarks: Landmarks,
+    named: Mapping[str, str] | None = None,
+) -> tuple[Fit, str]:
     """Return the best fit, and the reason why the points are no body; the reason is empty if they are one."""
     reading = landmarks.read(evidence.names)
+    if named:
+        reading = named_reading(reading, landmarks, named)
     index = {name: i for i, name in enumerate(evidence.names)}
     draft = BodyDraft({name: evidence.positions[i] for name, i in index.items()})
     add_regressions(draft, landmarks, reading, joints)
     if not reading.skin:
         add_centres(draft, reading)
+    set_named_joints(draft, named or {}, joints)
     add_trunk(draft, reading)
     add_ends(draft, reading)
     positions = {joint: place for joint in joints if (place := draft.place(joint)) is not None}

@@ -21,7 +21,7 @@ _HELP = (
 )
 
 
-def mapping_yaml(fit: Fit, name: str | None = None) -> str:
+def mapping_yaml(fit: Fit, name: str | None = None, only: str | None = None) -> str:
     """Return the mapping of a fit as YAML that `load_skeleton` reads.
 
     Parameters
@@ -30,6 +30,8 @@ def mapping_yaml(fit: Fit, name: str | None = None) -> str:
         A recognised body, or a proposal for one.
     name : str, optional
         The name of the mapping; that of the fit's own by default.
+    only : str, optional
+        The regular expression by which it is limited to some files.
 
     Returns
     -------
@@ -43,6 +45,8 @@ def mapping_yaml(fit: Fit, name: str | None = None) -> str:
     _, up, ahead = (_axis(row) for row in mapping.axes)
     handed = "right" if np.linalg.det(mapping.axes) > 0 else "left"
     lines += ["", f"name: {scalar(name or mapping.name)}", f"format: {mapping.format}"]
+    if only is not None:
+        lines.append(f"only: {scalar(only)}")
     lines += [f"up: {scalar(up)}", f"handedness: {handed}", f"facing: {scalar(ahead)}"]
     if mapping.format in ("acclaim", "bvh", "amass") and not np.array_equal(mapping.root_axes, mapping.axes):
         _, root_up, root_ahead = (scalar(_axis(row)) for row in mapping.root_axes)
@@ -59,8 +63,13 @@ def mapping_yaml(fit: Fit, name: str | None = None) -> str:
         if not choices:
             lines.append(f"  {joint}: null  # not found")
         else:
-            how = f"  # estimated: {fit.estimated[joint]}" if joint in fit.estimated else ""
-            lines.append(f"  {joint}: {choices[0] if len(choices) == 1 else '[' + ', '.join(choices) + ']'}{how}")
+            lines.append(f"  {joint}: {choices[0] if len(choices) == 1 else '[' + ', '.join(choices) + ']'}")
+    guessed = {joint: how for joint, how in fit.estimated.items() if fit.joints.get(joint) is not None}
+    if guessed:
+        lines += ["", "estimated:  # joints that the file does not hold; drop those that you have given a node"]
+        lines += [f"  {joint}: {scalar(how)}" for joint, how in guessed.items()]
+    if rough := [joint for joint in fit.rough if joint in guessed]:
+        lines.append(f"rough: [{', '.join(rough)}]  # those of them that may be more than 5 cm off")
     used = {node for mix in fit.joints.values() if mix is not None for node in mix.names}
     unused = [node for node in fit.indices if node not in used]
     lines += ["", f"# Nodes that no joint is made of: {', '.join(map(scalar, unused)) or 'none'}", ""]

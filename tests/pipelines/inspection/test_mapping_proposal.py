@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+import json
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 from kinedex.catalog.features import load_feature_set
-from kinedex.catalog.skeletons.mappings import load_mappings, load_skeleton
+from kinedex.catalog.skeletons.mappings import OwnFile, load_mappings, load_skeleton, with_own
+from kinedex.catalog.skeletons.recognition.landmarks import load_landmarks
+from kinedex.catalog.skeletons.recognition.named_points import nodes_of_landmarks
 from kinedex.ops.errors import KinedexError
 from kinedex.pipelines.inspection.mapping_proposal import propose_mapping
 from kinedex.storage.formats.motion.reader import Body, MotionFile
@@ -111,6 +114,91 @@ def test_a_damaged_file_gets_none(tmp_path: Path) -> None:
     file.write_text("HIERARCHY\nROOT")
     with pytest.raises(KinedexError, match=r"a\.bvh"):
         propose_mapping(file, "x")
+
+
+def nonsense(folder: Path) -> tuple[Path, dict[str, str], Body]:
+    """Return a trial whose labels say nothing, the landmark of each, and the body by the labels of its marker set."""
+    points = 1000 * z_up(standing_markers(40))
+    body = read_body(write_c3d(folder / "known.c3d", points, tuple(LABELS)), None, AUTO, JOINTS)
+    landmarks = nodes_of_landmarks(load_landmarks().read(LABELS))
+    nonsense = {label: f"X{i:02d}q" for i, label in enumerate(LABELS)}
+    file = write_c3d(folder / "x.c3d", points, tuple(nonsense.values()))
+    return file, {nonsense[label]: name for label, name in landmarks.items()}, body
+
+
+def test_markers_that_a_person_names_make_the_body_that_their_labels_make(tmp_path: Path) -> None:
+    file, named, body = nonsense(tmp_path)
+    with pytest.raises(KinedexError, match=r"0 of \d+ labels are known"):
+        read_body(file, None, AUTO, JOINTS)
+    (tmp_path / "own.yaml").write_text(propose_mapping(file, "own", named=named))
+    found = read_body(file, None, load_mappings(str(tmp_path / "own.yaml"), JOINTS), JOINTS)
+    assert same(body, found)
+    assert set(found.estimated) == set(body.estimated)
+    assert [one for one in found.warnings if "estimated" in one] == [one for one in body.warnings if "estimated" in one]
+
+
+def test_a_marker_named_as_a_joint_is_where_the_joint_is(tmp_path: Path) -> None:
+    file, named, _ = nonsense(tmp_path)
+    elbow = next(label for label, name in named.items() if name == "lelbowlat")
+    text = propose_mapping(file, "own", named=named | {elbow: "lelbow"})
+    assert f"\n  lelbow: {elbow}\n" in text
+    assert "\n  lelbow:" not in text[text.index("estimated:") :]
+
+
+def test_a_node_of_a_tree_that_a_person_names_is_that_joint(tmp_path: Path) -> None:
+    file = unknown_names(tmp_path / "a.bvh")
+    first = read_body(file, None, AUTO, JOINTS)
+    text = propose_mapping(file, "rig", named={"Rig_LeftHand": "none", "Rig_LeftLowerArm": "lwrist"})
+    (tmp_path / "rig.yaml").write_text(text)
+    second = read_body(file, None, load_mappings(str(tmp_path / "rig.yaml"), JOINTS), JOINTS)
+    wrist, elbow = JOINTS.index("lwrist"), JOINTS.index("lelbow")
+    assert np.allclose(second.positions[wrist], first.positions[elbow])
+    assert "lelbow" in second.unknown
+    assert np.allclose(second.positions[JOINTS.index("rwrist")], first.positions[JOINTS.index("rwrist")])
+
+
+@pytest.mark.parametrize(
+    ("named", "error"),
+    [
+        ({"Marker": "lelbow"}, "no node 'Marker'"),
+        ({"X00q": "lelbw"}, "there is no joint or landmark 'lelbw'; did you mean"),
+        ({"X00q": "lelbow", "X01q": "lelbow"}, "'X00q' and 'X01q' are both named 'lelbow'"),
+    ],
+)
+def test_a_name_that_cannot_be_is_refused(tmp_path: Path, named: dict[str, str], error: str) -> None:
+    file, _, _ = nonsense(tmp_path)
+    with pytest.raises(KinedexError, match=error):
+        propose_mapping(file, "own", named=named)
+
+
+def test_a_mapping_may_be_for_files_of_some_names_alone(tmp_path: Path) -> None:
+    file, named, _ = nonsense(tmp_path)
+    other = tmp_path / "other.c3d"
+    other.write_bytes(file.read_bytes())
+    text = propose_mapping(file, "one", named=named, only=r"^x\.c3d$")
+    general = propose_mapping(file, "all", named=named)
+    own = with_own(AUTO, [OwnFile(tmp_path / "one.yaml", text)], JOINTS)
+    assert read_body(file, None, own, JOINTS).skeleton == "one"
+    with pytest.raises(KinedexError, match="kinedex mapping new"):
+        read_body(other, None, own, JOINTS)
+    both = with_own(AUTO, [OwnFile(tmp_path / "one.yaml", text), OwnFile(tmp_path / "all.yaml", general)], JOINTS)
+    assert read_body(file, None, both, JOINTS).skeleton == "one"
+    assert read_body(other, None, both, JOINTS).skeleton == "all"
+
+
+def test_the_commands_list_nodes_and_take_their_names(tmp_path: Path) -> None:
+    file, named, body = nonsense(tmp_path)
+    listed = json.loads(kinedex("mapping", "nodes", file, "--json").stdout)
+    assert "no human body" in listed["refused"]
+    assert {one["node"] for one in listed["nodes"]} >= named.keys()
+    assert {one["reason"] for one in listed["nodes"]} == {"no known name"}
+    assert {*named.values()} <= {*listed["names"]}
+    words = [word for node, name in named.items() for word in ("--name", f"{node}={name}")]
+    ended = kinedex("mapping", "new", file, "-o", tmp_path / "own.yaml", *words)
+    assert ended.returncode == 0, ended.stderr
+    found = read_body(file, None, load_mappings(str(tmp_path / "own.yaml"), JOINTS), JOINTS)
+    assert same(body, found)
+    assert "NODE=JOINT" in kinedex("mapping", "new", file, "-o", tmp_path / "b.yaml", "--name", "X").stderr
 
 
 @pytest.mark.shared
