@@ -65,4 +65,12 @@ error    VARCHAR    kind of error; UnmatchedLabels of a label file whose labels 
 reason    VARCHAR    the fault, and the way out""",
         "SELECT file, reason FROM known_failures ORDER BY file",
     ),
+    result_view(
+        "accepted_doubts",
+        "Warnings and guesses about takes that a person has accepted (`kinedex takes accept`).",
+        """take    VARCHAR    name of the take
+message    VARCHAR    the message, as the view `doubts` has it
+accepted_at    TIMESTAMP WITH TIME ZONE    when""",
+        "SELECT take, message FROM accepted_doubts ORDER BY take, message",
+    ),
 )

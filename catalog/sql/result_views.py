@@ -78,7 +78,7 @@ ALL = "all_"
 SOURCE_KINDS = ("skeleton_files", "source_files", "ingest_log")
 """Kinds of results that belong to a source folder, whichever pipeline has ingested it."""
 
-SAVED_KINDS = ("hits", "duplicates", "known_failures")
+SAVED_KINDS = ("hits", "duplicates", "known_failures", "accepted_doubts")
 """Kinds of results that belong to no pipeline; their views show all rows."""
 
 RESULT_VIEWS = (*ANNOTATION_VIEWS, *TRACKING_VIEWS, *DEPTH_VIEWS, *INERTIAL_VIEWS, *KEYFRAME_VIEWS, *ARCHIVE_VIEWS)

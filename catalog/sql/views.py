@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from kinedex.catalog.doubts import doubts_select
 from kinedex.catalog.quality_figures import suspect_select
 from kinedex.catalog.sql.columns import Column, View, columns
 from kinedex.catalog.sql.macros import MACROS, Macro
@@ -195,6 +196,22 @@ meaning    VARCHAR    what the figure measures
 """),
         "SELECT figure, count(*) AS takes FROM suspect_takes GROUP BY figure ORDER BY takes DESC, figure",
         suspect_select(),
+    ),
+    View(
+        "doubts",
+        "derived",
+        "Source files that were refused, warned of, or read by a guess, one row for each doubt.",
+        columns("""
+kind    VARCHAR    refused (the file is no take), warned, or guessed (the body was recognised with a low confidence)
+cause    VARCHAR    the message without details, which is the same for many files
+source_root    VARCHAR    the folder that was ingested
+source    VARCHAR    the file, relative to it
+take    VARCHAR    name of the take; NULL for a file that was refused
+message    VARCHAR    the refusal or the warning, without the path of the file
+accepted    BOOLEAN    true if a person has accepted this message about this take: `kinedex takes accept`
+"""),
+        "SELECT kind, cause, count(*) AS files FROM doubts WHERE NOT accepted GROUP BY ALL ORDER BY files DESC, cause",
+        doubts_select(),
     ),
     View(
         "label_history",

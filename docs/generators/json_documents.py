@@ -185,6 +185,12 @@ DOCUMENTS: dict[str, dict[str, str]] = {
         "readmitted": "true where files were given or `--all`",
         "files": "`source_root` and `source` of these files, of all removed ones where none were given",
     },
+    "takes accept": {
+        **_STORE,
+        "accepted": "false with `--revoke`",
+        "doubts": "for each doubt its `take` and `message`",
+        "changed": "number of those that were not so before",
+    },
     "merge": {
         **_STORE,
         "other": "path of the other store",

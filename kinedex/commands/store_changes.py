@@ -1,4 +1,4 @@
-"""Define the commands that change the content of a store or its views: use, merge, takes remove, takes readmit."""
+"""Define the commands that change the content of a store or its views: use, merge, takes remove, readmit and accept."""
 
 from __future__ import annotations
 
@@ -131,6 +131,39 @@ def remove(
         )
     if not accept:
         print_message("nothing was changed: --accept removes them")
+
+
+@command(of=takes_group)
+def accept(
+    store: StorePath,
+    takes: Annotated[list[str] | None, typer.Argument(metavar="TAKE...", help="Names of takes.")] = None,
+    where: Annotated[
+        str | None,
+        typer.Option(help="SQL filter over the columns of the view doubts, for instance \"cause LIKE '%estimated%'\"."),
+    ] = None,
+    revoke: Annotated[bool, typer.Option("--revoke", help="Take the acceptance back.")] = False,
+    wait: WaitOption = None,
+    as_json: JsonOption = False,
+) -> None:
+    """Accept warnings and guesses about takes.
+
+    They stay in the column `warnings`, and are accepted in the view `doubts`, as long as a later ingest has the same to
+    say about the take.
+    """
+    from kinedex.storage.store.accepted_doubts import accept_doubts, chosen_doubts
+    from kinedex.storage.store.store import open_store
+
+    opened = open_store(store)
+    doubts = chosen_doubts(opened, takes or (), where)
+    with writer_of(opened, wait) as writer:
+        changed = accept_doubts(writer, doubts, revoke=revoke)
+        writer.commit()
+    if as_json:
+        rows = [{"take": one.take, "message": one.message} for one in doubts]
+        print_json({"store": store, "accepted": not revoke, "doubts": rows, "changed": changed})
+        return
+    same = f" ({len(doubts) - changed:,} were so before)" if changed < len(doubts) else ""
+    print_message(f"{counted(len(doubts), 'doubt')} {'no longer accepted' if revoke else 'accepted'}{same}")
 
 
 @command(of=takes_group)

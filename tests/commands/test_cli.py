@@ -298,6 +298,7 @@ def test_json_documents_have_the_keys_of_the_reference(store: Path, source: Path
         "duplicates": document("duplicates", copy),
         "takes remove": document("takes", "remove", copy, "x_aa_take01"),
         "takes readmit": document("takes", "readmit", copy),
+        "takes accept": document("takes", "accept", copy, "--where", "true"),
         "merge": document("merge", copy, store, "--prefix", "b_"),
         "use": document("use", store),
         "gc": document("gc", store, "--dry-run"),
