@@ -30,6 +30,7 @@ BUILT = Path(__file__).parent / "built"
 
 SUBJECTS = (
     "curves",
+    "doubts",
     "review_queue",
     "events",
     "examples",
@@ -44,6 +45,7 @@ SUBJECTS = (
     "learning",
     "maps",
     "motion",
+    "named_files",
     "quality",
     "runs",
     "sql",

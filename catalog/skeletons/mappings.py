@@ -308,7 +308,7 @@ class Mappings:
 
 def _best(source: str | Path, fits: Sequence[Fit]) -> Fit | None:
     """Return the fit that lacks no node and supplies the most joints; raise a SourceError if two fit equally well."""
-    whole = [fit for fit in fits if not fit.missing]
+    whole = [fit for fit in fits if not fit.missing and fit.named]  # one without joints would fit every file
     best = [fit for fit in whole if fit.named == max(other.named for other in whole)]
     if len(best) > 1:
         names = ", ".join(f"'{fit.mapping.name}'" for fit in best)
