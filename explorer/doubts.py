@@ -7,6 +7,7 @@ POST /api/doubts/accept {kind, cause, takes?: [name], revoke?} → {changed, com
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import Annotated, Any, Literal
 
 from pydantic import Field
@@ -74,7 +75,16 @@ def accept(archive: Archive, asked: AcceptRequest, _request: Request) -> dict[st
         writer.commit()
     archive.state(look=True)
     revoke = ["--revoke"] if asked.revoke else []
-    words = ["kinedex", "takes", "accept", archive.path, *asked.takes, "--where", asked.condition, *revoke]
+    words: list[str | Path] = [
+        "kinedex",
+        "takes",
+        "accept",
+        archive.path,
+        *asked.takes,
+        "--where",
+        asked.condition,
+        *revoke,
+    ]
     return {"changed": changed, "command": command_line(*words)}
 
 

@@ -15,6 +15,7 @@ metres, Y up.
 
 from __future__ import annotations
 
+import math
 import re
 from dataclasses import dataclass
 from pathlib import Path, PurePosixPath
@@ -191,11 +192,7 @@ def _person(file: _File) -> list[str]:
 def _frames(positions: F64) -> list[list[list[float] | None]]:
     """Return positions (N, 3, K) as K lists of places, None where one is unknown."""
     places = np.round(np.moveaxis(positions, 2, 0), 5)
-    known = np.isfinite(places).all(axis=2)
-    return [
-        [place.tolist() if seen else None for place, seen in zip(frame, there, strict=True)]
-        for frame, there in zip(places, known, strict=True)
-    ]
+    return [[place if all(map(math.isfinite, place)) else None for place in frame] for frame in places.tolist()]
 
 
 def _proposal(store: Store, file: _File, asked: MappingRequest) -> str:
@@ -309,7 +306,7 @@ def _commands(archive: Archive, file: _File, asked: MappingRequest) -> list[str]
     yaml = f"{asked.name}.yaml"
     named = [word for node, name in asked.named.items() for word in ("--name", f"{node}={name}")]
     only = ["--only", asked.only] if asked.only is not None else []
-    new = ["kinedex", "mapping", "new", file.path, "-o", yaml, *_person(file), *named, *only]
+    new: list[str | Path] = ["kinedex", "mapping", "new", file.path, "-o", yaml, *_person(file), *named, *only]
     return [
         command_line(*new),
         command_line("kinedex", "inspect", file.path, "--skeleton", yaml),

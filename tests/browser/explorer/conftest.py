@@ -7,6 +7,7 @@ import re
 import subprocess
 import sys
 from collections.abc import Callable, Iterator
+from functools import partial
 from pathlib import Path
 
 import pytest
@@ -63,12 +64,18 @@ def is_fault(message: ConsoleMessage) -> bool:
 
 
 @pytest.fixture
-def open_page(browser: Browser, explorer: str) -> Iterator[Open]:
+def open_page(open_page_of: Open, explorer: str) -> Open:
     """Return a function that opens a page of the explorer; a fault of the page fails the test."""
+    return partial(open_page_of, explorer)
+
+
+@pytest.fixture
+def open_page_of(browser: Browser) -> Iterator[Open]:
+    """Return a function that opens a page of the explorer of an address; a fault of the page fails the test."""
     contexts = []
     faults: list[str] = []
 
-    def open_at(path: str = "/", width: int = 1400, height: int = 900, scheme: str = "light") -> Page:
+    def open_at(explorer: str, path: str = "/", width: int = 1400, height: int = 900, scheme: str = "light") -> Page:
         context = browser.new_context(
             viewport={"width": width, "height": height},
             color_scheme="dark" if scheme == "dark" else "light",

@@ -28,6 +28,7 @@ PAGES = [
     "/runs",
     "/runs?view=start&pipeline=annotate",
     "/runs?view=methods",
+    "/doubts",
     "/export",
 ]
 

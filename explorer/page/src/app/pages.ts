@@ -41,6 +41,7 @@ function later(load: Load): ComponentType {
 export const PAGES: readonly Page[] = [
   { title: "Archive", path: "/", pattern: "/", key: "a", view: ArchivePage },
   { title: "Take", path: "/take", pattern: "/take/:name?", key: "t", view: later(() => import("../take/TakePage")) },
+  { title: "Doubts", path: "/doubts", pattern: "/doubts", key: "d", view: later(() => import("../doubts/DoubtsPage")) },
   { title: "Ask", path: "/ask", pattern: "/ask", key: "s", view: later(() => import("../ask/AskPage")) },
   { title: "Label", path: "/label", pattern: "/label", key: "l", view: later(() => import("../label/LabelPage")) },
   { title: "Templates", path: "/templates", pattern: "/templates", key: "p", view: later(() => import("../templates/TemplatesPage")) },
