@@ -191,8 +191,8 @@ def bvh_mutations(made: BvhText) -> Iterator[SkeletonMutation]:
         yield SkeletonMutation("added twist joint", name, _inserted(made, i))
     by_name = {one.name: i for i, one in enumerate(made.nodes)}
     for name, i in by_name.items():
-        other = by_name.get(_other_side(name))
-        if other is not None and i < other:
+        other = by_name.get(_other_side(name)) if _other_side(name) else None
+        if other is not None:
             twin = made.nodes[other].name
             yield SkeletonMutation("left and right exchanged", name, _with(_with(made, i, name=twin), other, name=name))
     yield SkeletonMutation("other order of channels", "", _reordered(made))

@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Collection
+from dataclasses import dataclass, replace
+
+import numpy as np
 
 from kinedex.ops.arrays import F64
 
@@ -36,3 +39,32 @@ class Evidence:
     offsets: F64 | None = None
     up: str | None = None
     unit_m: float | None = None
+
+    def without(self, nodes: Collection[int]) -> Evidence:
+        """Return the evidence without some nodes of the tree, whose children hang from their parents instead.
+
+        Parameters
+        ----------
+        nodes : collection of int
+            Indices of nodes, no roots; a node is unrotated in the rest pose, so that offsets add up.
+        """
+        if not nodes or self.parents is None:
+            return self
+        kept = [i for i in range(len(self.names)) if i not in nodes]
+        place = {node: i for i, node in enumerate(kept)}
+        offsets = None if self.offsets is None else np.array(self.offsets)
+        parents = []
+        for node in kept:
+            above = self.parents[node]
+            while above in nodes:
+                if offsets is not None and self.offsets is not None:
+                    offsets[node] += self.offsets[above]
+                above = self.parents[above]
+            parents.append(place.get(above, -1))
+        return replace(
+            self,
+            names=tuple(self.names[node] for node in kept),
+            positions=self.positions[kept],
+            parents=tuple(parents),
+            offsets=None if offsets is None else offsets[kept],
+        )

@@ -26,6 +26,7 @@ from kinedex.catalog.skeletons.recognition.landmarks import Landmarks, landmarks
 from kinedex.catalog.skeletons.recognition.names import LONGEST_PREFIX, Vocabulary, load_vocabulary, parse_vocabulary
 from kinedex.catalog.skeletons.recognition.points import doubted_labels, recognise_points
 from kinedex.catalog.skeletons.recognition.recognised_tree import recognise_tree
+from kinedex.catalog.skeletons.renamed_nodes import renamed_fit
 from kinedex.catalog.skeletons.skeleton_fit import (
     KINDS,
     Axis,
@@ -183,6 +184,8 @@ class Mappings:
     def recognised(self, source: str | Path, form: Format, evidence: Evidence) -> Fit:
         """Return the fit that recognition makes, by the tree of the nodes or, without one, by their positions.
 
+        A mapping whose names a tree has but for a few, which only nodes without known names can be, is used itself.
+
         Raises
         ------
         SourceError
@@ -190,7 +193,16 @@ class Mappings:
         """
         if evidence.parents is None:
             return recognise_points(source, evidence, self.joints, form, self.landmarks)
+        usable = [mapping for mapping in self.of(form) if self._may_fit(mapping, source, evidence.names)]
+        if (fit := renamed_fit(usable, evidence)) is not None:
+            return fit
         return recognise_tree(source, evidence, self.joints, form, self.vocabulary)
+
+    def completed(self, fit: Fit, evidence: Evidence | None) -> Fit:
+        """Return a fit of a shipped mapping with nodes that a tree calls otherwise, if joints lack their own ones."""
+        if evidence is None or evidence.parents is None or not fit.fallen or not self._is_shipped(fit.mapping):
+            return fit
+        return renamed_fit([fit.mapping], evidence) or fit
 
     def detect(
         self, source: str | Path, form: Format, nodes: Mapping[str, int], evidence: Evidence | None = None
@@ -218,6 +230,7 @@ class Mappings:
         """
         fit = self.exact(source, form, nodes)
         if fit is not None and (evidence is None or not self._only_names(fit.mapping)):
+            fit = self.completed(fit, evidence)
             points = evidence is not None and evidence.parents is None and self._is_shipped(fit.mapping)
             return doubted_labels(fit, evidence, self.joints, self.landmarks) if points and evidence else fit
         if evidence is not None:

@@ -425,6 +425,20 @@ class Fit:
         return len({name for mix in mixes for name in mix.names} & self.indices.keys())
 
     @cached_property
+    def fallen(self) -> tuple[str, ...]:
+        """Return the joints built from others, or of another node than that of the other side, for want of a node."""
+        found = []
+        for joint, mix in self.joints.items():
+            first = self.mapping.joints[joint][0]
+            if mix is None or first is None or mix is first or first.of_joints:
+                continue
+            twin = f"{'r' if joint[0] == 'l' else 'l'}{joint[1:]}"
+            even = joint[0] not in "lr" or self.joints.get(twin) is not self.mapping.joints.get(twin, (None,))[0]
+            if mix.of_joints or not even:
+                found.append(joint)
+        return tuple(found)
+
+    @cached_property
     def root(self) -> int:
         """Return the index of the node whose rotation is the body's: that of joint `root`, else the first node."""
         mix = self.joints.get("root")

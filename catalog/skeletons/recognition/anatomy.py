@@ -168,15 +168,18 @@ def _head_score(tree: Tree, at: int, child: int, line: list[int], legs: Pair) ->
 def _head_way(tree: Tree, top: int) -> tuple[int, ...]:
     """Return the nodes of neck and head: those from `top` to the first node named as head, and the end of the head.
 
-    The end is a child of that node that is an end or named as a part of the head, if there is one. If no node is named
-    as head, the longest path below `top` is returned.
+    The end is a child of that node that is an end or named as a part of the head, or the only child if nothing is known
+    of its name, if there is one. If no node is named as head, the longest path below `top` is returned.
     """
     named = [node for node in tree.below(top) if "head" in tree.parts[node] and not tree.names[node].end]
     if not named:
         return tuple(tree.longest_way(top))
     way = tree.way(top, named[0])
-    ends = [child for child in tree.children[named[0]] if tree.names[child].end or set(tree.parts[child]) & set(_HEAD)]
-    return (*way, *ends[:1])
+    children = tree.children[named[0]]
+    ends = [child for child in children if tree.names[child].end or set(tree.parts[child]) & set(_HEAD)]
+    of_face = {tree.parents[i] for i in range(len(tree.parents)) if i not in tree.children[tree.parents[i]]}
+    nameless = [child for child in children if not (tree.parts[child] or tree.names[child].side or child in of_face)]
+    return (*way, *(ends[:1] or (nameless if len(children) == 1 else ())))
 
 
 def _part(tree: Tree, pair: Pair, kind: str) -> Anatomy:

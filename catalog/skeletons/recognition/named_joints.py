@@ -196,6 +196,7 @@ def head_nodes(tree: Tree, head: Sequence[int]) -> tuple[int | None, int | None,
     necks = [node for node in inner if "neck" in tree.parts[node]]
     heads = [node for node in inner if "head" in tree.parts[node] and node not in necks]
     if heads:
+        ends += [node for node in inner[inner.index(heads[0]) + 1 :] if not tree.parts[node]]
         return (necks[0] if necks else None), heads[0], (ends[0] if ends else None)
     if necks:
         nameless = [node for node in inner if node not in necks]

@@ -23,6 +23,7 @@ from kinedex.catalog.skeletons.recognition.anatomy import (
 from kinedex.catalog.skeletons.recognition.limbs import Limb
 from kinedex.catalog.skeletons.recognition.named_joints import JointMixes, joint_mixes, leg_length
 from kinedex.catalog.skeletons.recognition.names import Vocabulary, load_vocabulary
+from kinedex.catalog.skeletons.recognition.node_places import twist_nodes
 from kinedex.catalog.skeletons.recognition.tree import Tree, build_tree
 from kinedex.catalog.skeletons.skeleton_fit import Fit, Format, Mix, SkeletonMapping, axes_of_up
 from kinedex.ops.arrays import F64
@@ -103,8 +104,10 @@ def _recognised(
     evidence: Evidence, joints: Sequence[str], form: Format, vocabulary: Vocabulary, source: Path
 ) -> tuple[Fit, str]:
     """Return the best fit, and the reason why it cannot be used; the reason is empty if it can be used."""
-    tree = build_tree(evidence, vocabulary)
     positions = {name: i for i, name in enumerate(evidence.names)}
+    whole = build_tree(evidence, vocabulary)
+    twists = twist_nodes(evidence.names, evidence.parents or ())
+    tree = build_tree(evidence.without(twists), vocabulary) if twists else whole
     bodies = find_anatomies(tree)
     if not bodies:
         return _fit(JointMixes(), evidence, joints, form, source, positions, False), _missing_parts(tree)
@@ -112,7 +115,7 @@ def _recognised(
     sides = find_sides(tree, body)
     found = joint_mixes(tree, body, sides)
     fit = _fit(found, evidence, joints, form, source, positions, sides.mirrored)
-    fit, up_reason, up_sure = _upright(fit, tree, evidence)
+    fit, up_reason, up_sure = _upright(fit, whole, evidence)
     fit = replace(fit, mapping=replace(fit.mapping, root_axes=_root_axes(tree, body, sides, fit.mapping.axes)))
     confidence = _confidence(tree, body, sides) * (1.0 if up_sure else _NO_UP)
     fault = _fault(tree, bodies, confidence, frozenset(vocabulary.terms.get("animal", ())))

@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from functools import lru_cache
 
 import numpy as np
 
 from kinedex.catalog.skeletons.body_evidence import Evidence
 from kinedex.catalog.skeletons.recognition.names import NodeName, Vocabulary, normal_names
+from kinedex.catalog.skeletons.recognition.node_places import placed_names
 from kinedex.ops.arrays import F64
 
 LEG = ("thigh", "calf", "foot")
@@ -117,8 +119,7 @@ def build_tree(evidence: Evidence, vocabulary: Vocabulary) -> Tree:
     assert evidence.parents is not None
     parents = evidence.parents
     count = len(parents)
-    names = normal_names(evidence.names, vocabulary)
-    parts = tuple(vocabulary.parts(name) for name in names)
+    names, parts = _named(evidence.names, parents, vocabulary)
     above = np.array(parents, dtype=np.intp)
     offsets = np.zeros((count, 3)) if evidence.offsets is None else evidence.offsets
     rest = np.zeros((count, 3))
@@ -137,6 +138,19 @@ def build_tree(evidence: Evidence, vocabulary: Vocabulary) -> Tree:
             children[parent].insert(0, i)
             reach[parent] = max(reach[parent], bones[i] + reach[i])
     return Tree(names, parts, parents, tuple(map(tuple, children)), positions, rest, tuple(bones), tuple(reach))
+
+
+@lru_cache(maxsize=64)  # The takes of an archive share a few skeletons.
+def _named(
+    texts: tuple[str, ...], parents: tuple[int, ...], vocabulary: Vocabulary
+) -> tuple[tuple[NodeName, ...], tuple[tuple[str, ...], ...]]:
+    """Return the names of nodes in normal form, and the parts that each may mean by its name or its place."""
+    children: list[list[int]] = [[] for _ in texts]
+    for i, parent in enumerate(parents):
+        if parent >= 0:
+            children[parent].append(i)
+    names = placed_names(normal_names(texts, vocabulary), parents, children, vocabulary)
+    return names, tuple(vocabulary.parts(name) for name in names)
 
 
 def _used(parts: tuple[tuple[str, ...], ...], parents: tuple[int, ...]) -> list[bool]:

@@ -13,6 +13,12 @@ import numpy.typing as npt
 from kinedex.catalog.skeletons.body_evidence import SAMPLED_FRAMES, Evidence
 from kinedex.catalog.skeletons.limb_doubts import limb_doubts
 from kinedex.catalog.skeletons.mappings import Fit, Format, Mappings
+from kinedex.catalog.skeletons.recognition.node_places import (
+    exchange_warning,
+    exchanged_names,
+    twist_nodes,
+    with_exchanged,
+)
 from kinedex.ops.body import kinematics
 from kinedex.ops.errors import SourceError
 from kinedex.storage.formats.motion.bvh_parser import BvhFile
@@ -73,6 +79,11 @@ class Person:
     def indices(self) -> dict[str, int]:
         """A dict from node name to index, for all nodes that a skeleton mapping can use."""
         return {node.name: i for i, node in enumerate(self.nodes) if i not in self.redundant}
+
+    @property
+    def twists(self) -> frozenset[int]:
+        """The indices of the nodes that only divide a bone."""
+        return twist_nodes([node.name for node in self.nodes], [node.parent for node in self.nodes])
 
 
 class BvhReader(Reader):
@@ -180,17 +191,32 @@ def _fitted(bvh: _Motion, name: str, mappings: Mappings, joints: tuple[str, ...]
     try:
         persons = persons_of(bvh.file, _offsets_apart(bvh))
         person = persons[chosen_person(bvh.path, name, [person.name for person in persons])]
+        person, exchanged = _untangled(person)
         fit = mappings.exact(bvh.path, "bvh", person.indices)
         if fit is None or _skips_spine(person, fit):
             fit = mappings.recognised(bvh.path, "bvh", _evidence(bvh, person))
+        elif fit.fallen:
+            fit = mappings.completed(fit, _tree(person))
     except SourceError:
         if bvh.skimmed:
             bvh.file.refuse_faults()  # report a fault of the frames before anything that follows from it
         raise
+    fit = replace(fit, doubts=(*exchanged, *fit.doubts)) if exchanged else fit
     nodes, restored = _restore(person, fit)
     positions, turned = posed(bvh, nodes, fit.root, fit, joints)
     fit, turned_by = turned_upright(fit, _resting(person), positions, joints)
     return FittedPerson(fit, positions, turned, turned_by, restored, nodes, person.members)
+
+
+def _untangled(person: Person) -> tuple[Person, list[str]]:
+    """Return a figure without names that lie on the wrong side, and a warning on these."""
+    names = [node.name for node in person.nodes]
+    pairs = exchanged_names(names, [node.parent for node in person.nodes])
+    if not pairs:
+        return person, []
+    renamed = with_exchanged(names, pairs)
+    nodes = tuple(replace(node, name=name) for node, name in zip(person.nodes, renamed, strict=True))
+    return replace(person, nodes=nodes), exchange_warning(names, pairs)
 
 
 class _Motion:
@@ -320,9 +346,14 @@ def _person(file: BvhFile, nodes: Sequence[kinematics.Node], name: str, members:
 def _evidence(motion: _Motion, person: Person) -> Evidence:
     """Return the positions of a figure's nodes in sampled frames, and its tree."""
     positions, _ = kinematics.forward(person.nodes, motion.sampled(SAMPLED_FRAMES))
+    return replace(_tree(person), positions=positions)
+
+
+def _tree(person: Person) -> Evidence:
+    """Return the tree of a figure's nodes, without any frame."""
     return Evidence(
         names=tuple(node.name for node in person.nodes),
-        positions=positions,
+        positions=np.empty((len(person.nodes), 3, 0)),
         parents=tuple(node.parent for node in person.nodes),
         offsets=person.offsets,
     )
@@ -336,7 +367,7 @@ def _skips_spine(person: Person, fit: Fit) -> bool:
     above, node = fit.indices[chest.node], person.nodes[fit.indices[neck.node]].parent
     long = False
     while node >= 0 and node != above:
-        long = long or bool(person.offsets[node].any())
+        long = long or (bool(person.offsets[node].any()) and node not in person.twists)
         node = person.nodes[node].parent
     return long and node == above
 
@@ -363,11 +394,20 @@ def _orientation(fit: Fit, positions: F64, turned: F64, joints: tuple[str, ...],
 def _restore(person: Person, fit: Fit) -> tuple[tuple[kinematics.Node, ...], list[str]]:
     """Return the nodes, with the mapping's lengths for bones without length, and the names of those bones."""
     nodes, restored = list(person.nodes), []
+    twists = person.twists if fit.mapping.bones else frozenset()
     for name, weights in fit.mapping.bones.items():
         index = fit.indices[name]
         moved = any(step.kind >= kinematics.MOVE_X for step in nodes[index].steps)
         if not moved and not nodes[index].before.any():
-            offset = sum(weight * person.nodes[fit.indices[other]].before for other, weight in weights.items())
+            offset = sum(weight * _bone(person, fit.indices[other], twists) for other, weight in weights.items())
             nodes[index] = replace(nodes[index], before=np.asarray(offset))
             restored.append(name)
     return tuple(nodes), restored
+
+
+def _bone(person: Person, node: int, twists: frozenset[int]) -> F64:
+    """Return the offset of a node, and of the nodes that only divide the bone that leads to it."""
+    offset, above = person.nodes[node].before, person.nodes[node].parent
+    while above in twists:
+        offset, above = offset + person.nodes[above].before, person.nodes[above].parent
+    return offset

@@ -17,6 +17,12 @@ import numpy.typing as npt
 from kinedex.catalog.skeletons.body_evidence import SAMPLED_FRAMES, Evidence
 from kinedex.catalog.skeletons.limb_doubts import limb_doubts
 from kinedex.catalog.skeletons.mappings import Fit, Format, Mappings
+from kinedex.catalog.skeletons.recognition.node_places import (
+    exchange_warning,
+    exchanged_names,
+    twist_nodes,
+    with_exchanged,
+)
 from kinedex.ops.body import kinematics
 from kinedex.ops.body.transforms import global_transforms, without_scale
 from kinedex.ops.errors import SourceError
@@ -245,8 +251,12 @@ def fitted_figure(path: Path, figure: Figure, mappings: Mappings, joints: tuple[
     """
     sampled = np.unique(np.linspace(0, figure.frames - 1, SAMPLED_FRAMES).round().astype(np.int64))
     places, _ = figure.poses.at(sampled, [])
+    pairs = exchanged_names(figure.names, figure.parents)
+    doubts = exchange_warning(figure.names, pairs)
+    figure = replace(figure, names=with_exchanged(figure.names, pairs)) if pairs else figure
     evidence = _evidence(figure, places)
     fit = mappings.detect(path, "bvh", {name: i for i, name in enumerate(figure.names)}, evidence)
+    fit = replace(fit, doubts=(*doubts, *fit.doubts)) if doubts else fit
     bones = _lost_bones(figure, fit, places)
     if bones:
         rest = figure.rest.copy()
@@ -283,16 +293,19 @@ class _Bone:
 def _lost_bones(figure: Figure, fit: Fit, positions: F64) -> list[_Bone]:
     """Return the bones that have no length in sampled frames, but one in the mapping."""
     bones = []
+    above = list(figure.parents)
+    for i in sorted(twist_nodes(figure.names, figure.parents)):
+        above = [figure.parents[i] if parent == i else parent for parent in above]
     for name, weights in fit.mapping.bones.items():
         node = fit.indices[name]
         parent = figure.parents[node]
         if parent < 0 or np.abs(positions[node] - positions[parent]).max() > _NO_LENGTH_M:
             continue
         others = [(weight, fit.indices[other]) for other, weight in weights.items()]
-        way = sum(weight * (figure.rest[other] - figure.rest[figure.parents[other]]) for weight, other in others)
+        way = sum(weight * (figure.rest[other] - figure.rest[above[other]]) for weight, other in others)
         members = [node]
-        for i, above in enumerate(figure.parents):
-            if above in members:
+        for i, one in enumerate(figure.parents):
+            if one in members:
                 members.append(i)
         bones.append(_Bone(tuple(members), parent, np.asarray(way)))
     return bones
