@@ -8,13 +8,23 @@ from itertools import pairwise
 
 import numpy as np
 
-from kinedex.catalog.skeletons.recognition.anatomy import ARM_TO_LEG, Anatomy, Sides, trunk_length
+from kinedex.catalog.skeletons.recognition.anatomy import ARM_TO_LEG, Anatomy, Sides
 from kinedex.catalog.skeletons.recognition.limbs import Limb
 from kinedex.catalog.skeletons.recognition.tree import FINGERS, Tree
 from kinedex.catalog.skeletons.skeleton_fit import Mix
 
 SPINE_SHARES = {"belly": 1 / 3, "chest": 2 / 3}
 """The positions of spine joints as shares of the path from root to neck: Acclaim's three bones are equally long."""
+
+_SPINE_NAMES = {
+    "belly": ({"belly", "abdomen", "stomach", "navel", "naval", "waist"}, (0.2, 0.5)),
+    "chest": ({"chest", "thorax", "ribs", "ribcage"}, (0.5, 0.85)),
+}
+"""Last words of the names of spine joints, and the shares of the path from root to neck where these are meant.
+
+A joint called `Chest` at a quarter of the way, as in skeletons with one joint of the spine, is the waist. A spine of
+`Chest`, `Chest2`, `Chest3` is only numbered.
+"""
 
 NECK_SHARE = 0.7
 """The position of the neck as a fraction of the path from root to head: 0.65 in HDM05 and CMU, 0.75+ in game rigs."""
@@ -28,8 +38,6 @@ FINGERS_SHARE = 0.25
 _FOOT_AHEAD, _FOOT_DOWN = 0.2, 0.06  # shares of the leg: from the ankle to estimated toes
 _PAST_BALL = 0.45  # the distance from ball to toes as a share of that from ankle to ball
 _CLAVICLE = 0.15  # share of the way from neck to shoulder
-_LOST_THORAX = 0.53  # share of the legs; a shorter trunk whose neck and arms begin at the spine's end lacks its thorax
-_CUT_FOREARM = 1.4  # ratio of upper arm to forearm above which the forearm lacks its last third
 
 
 @dataclass
@@ -42,13 +50,10 @@ class JointMixes:
         The joints that are known, measured and estimated ones.
     estimated : dict of str to str
         A phrase for each joint that the file does not hold, which describes how it is estimated.
-    bones : dict of str to dict of str to float
-        Bones that the file leaves at length zero, as weights over the offsets of other nodes.
     """
 
     mixes: dict[str, Mix] = field(default_factory=dict)
     estimated: dict[str, str] = field(default_factory=dict)
-    bones: dict[str, dict[str, float]] = field(default_factory=dict)
 
     def estimate(self, joint: str, mix: Mix, how: str) -> None:
         """Add a joint that the file does not hold."""
@@ -80,9 +85,7 @@ def joint_mixes(tree: Tree, body: Anatomy, sides: Sides) -> JointMixes:
         for joint, node in zip(("shoulder", "elbow", "wrist"), arm.nodes, strict=True):
             found.mixes[side + joint] = _node(tree, node)
         _add_fingers(found, tree, side, arm)
-        _restore_wrist(found, tree, side, arm)
-    thorax = _restore_thorax(found, tree, body, sides)
-    _add_trunk(found, tree, body, sides, thorax)
+    _add_trunk(found, tree, body, sides)
     for side, arm in zip("lr", sides.arms, strict=True):
         _add_clavicle(found, tree, side, arm)
     return found
@@ -121,36 +124,8 @@ def polyline_point(lengths: Sequence[float], share: float) -> tuple[int, float]:
     raise ValueError("a polyline has at least one segment")
 
 
-def _restore_thorax(found: JointMixes, tree: Tree, body: Anatomy, sides: Sides) -> float:
-    """Add a thorax to a trunk without one, as in CMU's BVH files, and return its length; 0 if none is missing.
-
-    The thorax continues the curve of the spine, as `configs/skeletons/cmu-bvh.yaml` explains.
-    """
-    spine = [node for node in body.trunk[1:] if tree.lengths[node] > 0]
-    tops = [body.head[0], *(arm.path[0] for arm in sides.arms or ())] if body.head else []
-    if body.legs is None or body.arms is None or len(spine) < 2 or not tops:
-        return 0.0
-    if any(tree.lengths[top] > 0 or tree.parents[top] != spine[-1] for top in tops):
-        return 0.0
-    if trunk_length(tree, body.legs, body.arms) > _LOST_THORAX * body.legs.length:
-        return 0.0
-    weights = {tree.names[spine[-2]].text: -0.5, tree.names[spine[-1]].text: 1.5}
-    found.bones |= {tree.names[top].text: weights for top in tops}
-    before, last = (tree.rest[node] - tree.rest[tree.parents[node]] for node in spine[-2:])
-    return float(np.linalg.norm(1.5 * last - 0.5 * before))
-
-
-def _restore_wrist(found: JointMixes, tree: Tree, side: str, arm: Limb) -> None:
-    """Move the wrist of a forearm without its last third to the finger node of length zero, as in CMU's BVH files."""
-    past = arm.path[arm.path.index(arm.nodes[2]) + 1 :]
-    cut = arm.bones[1] > _CUT_FOREARM * arm.bones[2]
-    if cut and past and tree.lengths[past[0]] == 0 and "finger" in tree.parts[past[0]]:
-        found.bones[tree.names[past[0]].text] = {tree.names[arm.nodes[2]].text: 0.5}
-        found.mixes[f"{side}wrist"] = _node(tree, past[0])
-
-
-def _add_trunk(found: JointMixes, tree: Tree, body: Anatomy, sides: Sides, thorax: float) -> None:
-    """Add neck, head, the top of the head, and the joints of the spine by arc length."""
+def _add_trunk(found: JointMixes, tree: Tree, body: Anatomy, sides: Sides) -> None:
+    """Add neck, head, the top of the head, and the joints of the spine by their names or by arc length."""
     neck, head, top = head_nodes(tree, body.head)
     line = list(body.trunk)
     if neck is not None:
@@ -168,17 +143,27 @@ def _add_trunk(found: JointMixes, tree: Tree, body: Anatomy, sides: Sides, thora
         found.estimate("neck", _nodes(tree, ends), "midway between the shoulders")
         line += [node for node in (sides.arms[0].nodes[0],) if len(line) < 2]
     lengths = [tree.distance(a, b) for a, b in pairwise(line)]
-    if thorax:
-        lengths[-1] = thorax
     if lengths and sum(lengths) > 0:
         for joint, share in SPINE_SHARES.items():
-            found.mixes[joint] = _spine_mix(tree, line, lengths, share * whole)
+            named = _named_on_spine(tree, line, lengths, joint, whole)
+            mix = _spine_mix(tree, line, lengths, share * whole) if named is None else _node(tree, named)
+            found.mixes[joint] = mix
+            if mix.node is None:
+                found.estimated[joint] = f"{100 * share:.0f} % of the way along the spine from the root to the neck"
         if neck is None and head is not None:
             how = f"at {100 * whole:.0f} % of the way along the spine from the root to the head"
             found.estimate("neck", _spine_mix(tree, line, lengths, whole), how)
     if head is not None:
         found.mixes["head"] = _node(tree, head)
         _add_top(found, tree, body, sides, line, head, top)
+
+
+def _named_on_spine(tree: Tree, line: Sequence[int], lengths: Sequence[float], joint: str, whole: float) -> int | None:
+    """Return the only node on the spine with a name of the joint, if it lies about there."""
+    words, (low, high) = _SPINE_NAMES[joint]
+    named = [i for i, node in enumerate(line) if words & {*tree.names[node].words[-1:]} and "spine" in tree.parts[node]]
+    share = sum(lengths[: named[0]]) / (sum(lengths) * whole) if named else 0.0
+    return line[named[0]] if len(named) == 1 and low <= share <= high else None
 
 
 def _spine_mix(tree: Tree, line: Sequence[int], lengths: Sequence[float], share: float) -> Mix:

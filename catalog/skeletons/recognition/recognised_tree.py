@@ -146,7 +146,7 @@ def _fit(
         axes=axes,
         root_axes=axes,
         strip_prefix=None,
-        bones=found.bones,
+        bones={},
         joints=mixes,
     )
     return replace(mapping.fit(positions), reasons=("no body is recognised",), confidence=0.0)

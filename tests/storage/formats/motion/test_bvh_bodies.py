@@ -9,7 +9,7 @@ import pytest
 
 from kinedex.catalog.features import load_feature_set
 from kinedex.catalog.skeletons.mappings import load_mappings, load_skeleton
-from kinedex.ops.body import features
+from kinedex.ops.body import features, kinematics
 from kinedex.ops.errors import SourceError
 from kinedex.storage.formats.motion import bvh, mapped_body, text_blocks
 from kinedex.storage.formats.motion.bvh_parser import BvhFile
@@ -378,12 +378,34 @@ def test_wild_files_come_in_upright_and_of_human_height_or_are_no_human(shared: 
     assert refused == [("test", True), ("Dog_example", True), ("dog_std", True)]
 
 
-def test_cmus_skeleton_under_other_names_has_the_same_joints(shared: Path, tmp_path: Path) -> None:
+def test_cmus_skeleton_under_other_names_keeps_the_joints_that_the_file_names(shared: Path, tmp_path: Path) -> None:
     path = next((shared / "data" / "cmu").rglob("*.bvh"))
     exact = read_body(path, None, AUTO, JOINTS)
     assert exact.skeleton == "cmu-bvh"
     renamed = tmp_path / "a.bvh"
     renamed.write_text(path.read_text().replace("LFingers", "LeftHandIndex1").replace("RFingers", "RightHandIndex1"))
     body = read_body(renamed, None, AUTO, JOINTS)
-    assert body.skeleton == "recognised"
-    np.testing.assert_allclose(body.positions, exact.positions, atol=1e-3)
+    assert (body.skeleton, body.warnings, body.estimated) == ("recognised", (), ("belly", "chest"))
+    for name in ("root", "lhip", "rknee", "lankle", "rtoes"):
+        np.testing.assert_allclose(joint(body, name), joint(exact, name), atol=1e-3)
+    file = BvhFile(path)
+    places, _ = kinematics.forward(file.nodes, file.channels()[::50])
+    at = {node.name: places[i] for i, node in enumerate(file.nodes)}
+    named = {"neck": "Neck", "lclavicle": "LeftShoulder", "rshoulder": "RightArm", "lelbow": "LeftForeArm"}
+    for name, node in (named | {"rwrist": "RightHand", "head": "Head"}).items():
+        np.testing.assert_allclose(joint(body, name)[:, ::50] * 0.45 / 0.0254, at[node], atol=1e-3)
+
+
+def test_one_node_named_chest_is_the_chest_and_others_are_estimated(tmp_path: Path) -> None:
+    root = mixamo(prefix="")
+    text = bvh_text(root, dance(root, 20)).replace("UpLeg", "Thigh")
+    paths = {}
+    for name in ("Spine2", "Chest", "Rachis"):
+        paths[name] = tmp_path / f"{name}.bvh"
+        paths[name].write_text(text.replace("Spine2", name))
+    plain, chest, nameless = (read_body(path, None, AUTO, JOINTS) for path in paths.values())
+    node = [oracle.pose(root, frame)[0]["Spine2"] for frame in dance(root, 20)]
+    np.testing.assert_allclose(joint(chest, "chest"), 0.01 * np.array(node).T, atol=1e-9)
+    np.testing.assert_array_equal(joint(plain, "chest"), joint(nameless, "chest"))
+    assert "chest" in plain.estimated
+    assert "chest" not in chest.estimated
