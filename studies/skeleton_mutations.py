@@ -187,7 +187,8 @@ def bvh_mutations(made: BvhText) -> Iterator[SkeletonMutation]:
         name = made.nodes[i].name
         yield SkeletonMutation("joint renamed", name, _with(made, i, name=f"xq{i}z"))
         if any(made.nodes[i].offset):
-            yield SkeletonMutation("bone of no length", name, _with(made, i, offset=(0.0, 0.0, 0.0)))
+            empty = _with(made, i, offset=(0.0, 0.0, 0.0))
+            yield SkeletonMutation("bone of no length", name, empty, knowable=not _only_legs(made, i))
         yield SkeletonMutation("added twist joint", name, _inserted(made, i))
     by_name = {one.name: i for i, one in enumerate(made.nodes)}
     for name, i in by_name.items():
@@ -205,6 +206,14 @@ def bvh_mutations(made: BvhText) -> Iterator[SkeletonMutation]:
     shifted = made.values.copy()
     shifted[:, 0] += 100.0 * np.abs(np.array([one.offset for one in made.nodes])).sum()
     yield SkeletonMutation("origin far away", "", replace(made, values=shifted))
+
+
+def _only_legs(made: BvhText, node: int) -> bool:
+    """Return whether only both legs hang from a joint below the root, which may as well lie at the root."""
+    one = made.nodes[node]
+    below = [other.name for other in made.nodes if other.parent == node]
+    beside = [other.name for other in made.nodes if other.parent == one.parent and other is not one]
+    return one.parent == 0 and len(below) == 2 and _other_side(below[0]) == below[1] and len(beside) == 1
 
 
 def _other_side(name: str) -> str:

@@ -12,6 +12,7 @@ import numpy.typing as npt
 
 from kinedex.catalog.skeletons.body_evidence import SAMPLED_FRAMES, Evidence
 from kinedex.catalog.skeletons.limb_doubts import limb_doubts
+from kinedex.catalog.skeletons.lost_bones import LostBones, lost_bones
 from kinedex.catalog.skeletons.mappings import Fit, Format, Mappings
 from kinedex.catalog.skeletons.recognition.node_places import (
     exchange_warning,
@@ -191,7 +192,8 @@ def _fitted(bvh: _Motion, name: str, mappings: Mappings, joints: tuple[str, ...]
     try:
         persons = persons_of(bvh.file, _offsets_apart(bvh))
         person = persons[chosen_person(bvh.path, name, [person.name for person in persons])]
-        person, exchanged = _untangled(person)
+        person, doubts = _untangled(person)
+        person, lost = _with_lost_bones(person)
         fit = mappings.exact(bvh.path, "bvh", person.indices)
         if fit is None or _skips_spine(person, fit):
             fit = mappings.recognised(bvh.path, "bvh", _evidence(bvh, person))
@@ -201,7 +203,9 @@ def _fitted(bvh: _Motion, name: str, mappings: Mappings, joints: tuple[str, ...]
         if bvh.skimmed:
             bvh.file.refuse_faults()  # report a fault of the frames before anything that follows from it
         raise
-    fit = replace(fit, doubts=(*exchanged, *fit.doubts)) if exchanged else fit
+    if lost is not None:
+        fit = lost.marked(fit, [node.name for node in person.nodes])
+    fit = replace(fit, doubts=(*doubts, *fit.doubts)) if doubts else fit
     nodes, restored = _restore(person, fit)
     positions, turned = posed(bvh, nodes, fit.root, fit, joints)
     fit, turned_by = turned_upright(fit, _resting(person), positions, joints)
@@ -217,6 +221,23 @@ def _untangled(person: Person) -> tuple[Person, list[str]]:
     renamed = with_exchanged(names, pairs)
     nodes = tuple(replace(node, name=name) for node, name in zip(person.nodes, renamed, strict=True))
     return replace(person, nodes=nodes), exchange_warning(names, pairs)
+
+
+def _with_lost_bones(person: Person) -> tuple[Person, LostBones | None]:
+    """Return a figure with estimated offsets for bones that have lost theirs, and these bones."""
+    offsets = np.array([node.before for node in person.nodes])
+    moved = {
+        i
+        for i, node in enumerate(person.nodes)
+        if node.name.endswith("_end") or any(step.kind >= kinematics.MOVE_X for step in node.steps)
+    }
+    lost = lost_bones([node.name for node in person.nodes], [node.parent for node in person.nodes], offsets, moved)
+    if lost is None or not lost.offsets:
+        return person, lost
+    nodes, whole = list(person.nodes), person.offsets.copy()
+    for i, offset in lost.offsets.items():
+        nodes[i], whole[i] = replace(nodes[i], before=offset), offset
+    return replace(person, nodes=tuple(nodes), offsets=whole), lost
 
 
 class _Motion:

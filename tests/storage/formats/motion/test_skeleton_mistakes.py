@@ -52,6 +52,17 @@ def test_a_wrong_name_or_a_divided_bone_moves_no_joint(mistake: str, file: BvhTe
     assert [one for one in found if one[0] not in ("estimated", "warned")] == []
 
 
+def test_a_bone_without_length_is_estimated_and_reported(file: BvhText, tmp_path: Path) -> None:
+    found = outcomes(file, tmp_path / "take.bvh", "bone of no length")
+    assert [one for one in found if one[0] not in ("estimated", "warned")] == []
+    path = tmp_path / "take.bvh"
+    collar = next(one for one in bvh_mutations(file) if one.name == "bone of no length" and "LeftShoulder" in one.what)
+    write(path, collar.file)
+    body = read(path)
+    assert "lclavicle" in body.estimated
+    assert body.warnings[0] == "bone mixamorig:LeftShoulder has no length in the file; the other side's is taken"
+
+
 def test_exchanged_names_are_reported(file: BvhText, tmp_path: Path) -> None:
     path = tmp_path / "take.bvh"
     exchanged = next(
@@ -78,3 +89,5 @@ def test_the_files_of_the_study_with_wrong_names_are_read_rightly(tmp_path: Path
         if file.name != "bvh_test3.bvh":  # its many fingers take long
             for mistake in ("added twist joint", "joint renamed", "left and right exchanged"):
                 assert outcomes(file, tmp_path / "take.bvh", mistake) == [], file.name
+            found = outcomes(file, tmp_path / "take.bvh", "bone of no length")
+            assert [one for one in found if one[0] not in ("warned", "not knowable")] == [], file.name
