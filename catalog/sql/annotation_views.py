@@ -14,62 +14,64 @@ ANNOTATION_VIEWS = (
         "templates",
         "Motion templates, soft and hard, per subclass.",
         """subclass    VARCHAR    the subclass of the template
-kind    VARCHAR    soft or hard
-features    INTEGER    values in a column of the template
-columns    INTEGER    number of its columns
-values    DOUBLE[]    column after column, a value from 0 (off) to 1 (on) for each feature
-weights    DOUBLE[]    number of frames of the clips that each column stands for
-clips    VARCHAR[]    the takes that it was learned from
+kind    VARCHAR    kind of the template: soft or hard
+features    INTEGER    number of values in a column of the template
+columns    INTEGER    number of columns of the template
+values    DOUBLE[]    value of each feature from 0 (off) to 1 (on), column after column
+weights    DOUBLE[]    mean number of frames of the clips that each column stands for
+clips    VARCHAR[]    the takes that the template was learned from
 rounds    INTEGER    number of times that the clips were averaged
-costs    DOUBLE[]    before each round, the largest distance between two clips
+costs    DOUBLE[]    largest distance between two clips before each round
 take_filter    VARCHAR    the SQL filter that chose the training takes
-origin    VARCHAR    learned from clips of its own class, or made of other templates, and how
-clip_costs    DOUBLE[]    median DTW cost of each clip to the others
-feature_weights    DOUBLE[]    weight of each feature; NULL: all alike
+origin    VARCHAR    the way in which the template was made: learned from clips of its class, or made of other templates
+clip_costs    DOUBLE[]    median DTW cost between each clip and the other clips
+feature_weights    DOUBLE[]    weight of each feature; NULL if all weights are equal
 remarks    VARCHAR[]    remarks about unusual clips""",
         "SELECT subclass, kind, columns, len(clips) AS clips FROM templates ORDER BY subclass, kind",
         stages="learn_templates",
     ),
     result_view(
         "annotated_takes",
-        "The takes that were annotated, also those in which nothing was found.",
+        "The takes that were annotated, including those in which nothing was found.",
         f"""{TAKE}
-frames         BIGINT     its length in frames
-searched       DOUBLE     share of its frames that templates were matched in, on average over the templates
-fingerprint    VARCHAR    a hash of its words and of all that they were annotated with; null where not known""",
+frames         BIGINT     length of the take in frames
+searched       DOUBLE     share of the frames in which templates were matched, averaged over the templates
+fingerprint    VARCHAR    hash of the words of the take and of everything that the annotation depends on; NULL if \
+unknown""",
         "SELECT take FROM annotated_takes WHERE take_id NOT IN (SELECT take_id FROM annotations) ORDER BY take",
         stages="annotate",
     ),
     result_view(
         "not_applied",
-        "Templates and queries that were not applied to a take, whose body lacks too many of the joints they ask for.",
+        "Templates and queries that were not applied to a take, because its body lacks too many of the joints "
+        "they need.",
         f"""{TAKE}
-kind    VARCHAR    template or query
+kind    VARCHAR    kind of what was not applied: template or query
 name    VARCHAR    the subclass of the template, or the name of the query
-known    DOUBLE    share of its fixed entries that the take knows: less than 0.6""",
+known    DOUBLE    share of the fixed entries whose features the take has, which is less than 0.6""",
         "SELECT take, kind, count(*) AS refused FROM not_applied GROUP BY take, kind ORDER BY take, kind",
         stages="annotate rank",
     ),
     result_view(
         "distance_curves",
-        "The distance curve of a subclass over a take, one cost per frame; of a take that was kept, by an earlier run.",
+        "The distance curve of each subclass over a take, with one cost per frame.",
         f"""{TAKE}
 class    VARCHAR    the class that the subclass belongs to
-subclass    VARCHAR    whose template was compared
-costs    FLOAT[]    for each frame, the cost of the best match that ends there; infinity where there is none
-preselected    DOUBLE    share of the frames that keyframe queries left to be searched""",
+subclass    VARCHAR    the subclass whose template was compared
+costs    FLOAT[]    cost of the best match that ends in each frame; infinity if no match ends there
+preselected    DOUBLE    share of the frames that remain after the preselection by keyframe queries""",
         "SELECT take, subclass, list_min(costs) AS least FROM distance_curves ORDER BY least LIMIT 10",
         stages="annotate",
     ),
     result_view(
         "example_ranges",
-        "Frames in which each example could label anything, with `each_example`; a later run compares new ones only.",
+        "Frames that each example could label (`each_example`), so that a later run compares only new examples.",
         f"""{TAKE}
-fingerprint    VARCHAR    a hash of the take's words and of the program
+fingerprint    VARCHAR    hash of the words of the take and of the code of kinedex
 examples    UBIGINT[]    a hash of each example
-counts    INTEGER[]    the number of ranges of each
-starts    INTEGER[]    their first frames, example after example
-stops    INTEGER[]    the frames after their last""",
+counts    INTEGER[]    number of ranges of each example
+starts    INTEGER[]    first frames of the ranges, example after example
+stops    INTEGER[]    frames after the last frames of the ranges""",
         "SELECT take, len(examples) AS examples, len(starts) AS ranges FROM example_ranges ORDER BY ranges DESC, take",
         stages="annotate",
     ),
@@ -77,14 +79,14 @@ stops    INTEGER[]    the frames after their last""",
         "annotations",
         "The segments that the annotation found: class, range, cost.",
         f"""{TAKE}
-class    VARCHAR    the label
-subclass    VARCHAR    whose template came nearest
+class    VARCHAR    the class of the segment
+subclass    VARCHAR    the subclass whose template is nearest
 {SECONDS}
-cost    DOUBLE    least distance within the range, from 0
-confidence    DOUBLE    probability that the label is right, calibrated on examples; null where it cannot be known
+cost    DOUBLE    smallest distance within the segment, at least 0
+confidence    DOUBLE    probability that the class is right, calibrated on examples; NULL if it is unknown
 {_METHOD}
-margin    DOUBLE    from 0 (something else would do as well) to 1
-value    DOUBLE    what the frames add to the explanation of the take (method best); null for methods without one""",
+margin    DOUBLE    lead over other classes and the background, from 0 (none) to 1
+value    DOUBLE    contribution of the segment to the explanation of the take (method best); NULL for other methods""",
         "SELECT class, count(*) AS segments, sum(stop_seconds - start_seconds) AS seconds FROM annotations "
         "WHERE method IN ('templates', 'templates within keyframe hits') GROUP BY class ORDER BY class",
         stages="annotate",
@@ -93,10 +95,10 @@ value    DOUBLE    what the frames add to the explanation of the take (method be
         "ranked_hits",
         "The best hits of each template, by rank: take, range, cost.",
         f"""template    VARCHAR    the template that was looked for
-rank    INTEGER    1 is the best
+rank    INTEGER    rank of the hit, 1 for the best
 {TAKE}
 {SECONDS}
-cost    DOUBLE    distance from the template, from 0""",
+cost    DOUBLE    distance from the template, at least 0""",
         "SELECT template, rank, take, start, stop, cost FROM ranked_hits WHERE rank <= 3 ORDER BY template, rank",
         stages="rank",
     ),
@@ -104,13 +106,13 @@ cost    DOUBLE    distance from the template, from 0""",
         "retrieval",
         "The quality of rankings: average precision and recall of each class, and confusions.",
         """evaluation    VARCHAR    the kind of items that were ranked: clips or takes
-fold    VARCHAR    the part of the archive that was excluded from learning; empty for none
+fold    VARCHAR    the part of the archive that was excluded from learning; empty if there is none
 class    VARCHAR    the class that was looked for
 relevant    INTEGER    number of items to find
 found    INTEGER    number of these below the threshold
-average_precision    DOUBLE    1 where all that should be found comes first
-recall_at_tau    DOUBLE    share of them below the threshold
-confused_with    VARCHAR[]    classes that stand above the last right one, most frequent first""",
+average_precision    DOUBLE    average precision of the ranking; 1 if all relevant items come first
+recall_at_tau    DOUBLE    share of the relevant items below the threshold
+confused_with    VARCHAR[]    classes of the wrong items above the last right item, most frequent first""",
         "SELECT class, avg(average_precision) AS average_precision FROM retrieval GROUP BY class ORDER BY class",
         stages="evaluate_ranking",
     ),
@@ -118,7 +120,7 @@ confused_with    VARCHAR[]    classes that stand above the last right one, most 
         "ground_truth",
         "The manual labels that annotations are compared with.",
         f"""{TAKE}
-class    VARCHAR    the label
+class    VARCHAR    the class of the segment
 {RANGE}
 source_start    BIGINT    start in frames of the source file
 source_stop    BIGINT    stop in frames of the source file
@@ -129,54 +131,54 @@ origin    VARCHAR    the file that holds the label""",
     result_view(
         "metrics",
         "Precision, recall and F over frames (p1, r1, f1) and over segments (p2, r2, f2).",
-        """evaluation    VARCHAR    the stage that evaluated
-scope    VARCHAR    pooled, class, take, fold, or group: takes with the same value of divide_by
-name    VARCHAR    of which class, take, fold or group
+        """evaluation    VARCHAR    the stage that made the evaluation
+scope    VARCHAR    scope of the row: pooled, class, take, fold, or group (takes with the same value of divide_by)
+name    VARCHAR    name of the class, take, fold or group
 p1    DOUBLE    precision by frames
 r1    DOUBLE    recall by frames
 f1    DOUBLE    F measure by frames
 p2    DOUBLE    precision by segments
 r2    DOUBLE    recall by segments
 f2    DOUBLE    F measure by segments
-frames_both    BIGINT    frames that both label alike
-frames_automatic    BIGINT    frames that the annotation labels
-frames_manual    BIGINT    frames that people have labelled
-segments_automatic_hit    BIGINT    segments of the annotation that are right
-segments_automatic    BIGINT    segments of the annotation
-segments_manual_hit    BIGINT    manual segments that were found
-segments_manual    BIGINT    manual segments""",
+frames_both    BIGINT    number of frames with the same label in both
+frames_automatic    BIGINT    number of frames that the annotation labels
+frames_manual    BIGINT    number of frames that people have labelled
+segments_automatic_hit    BIGINT    number of segments of the annotation that are right
+segments_automatic    BIGINT    number of segments of the annotation
+segments_manual_hit    BIGINT    number of manual segments that were found
+segments_manual    BIGINT    number of manual segments""",
         "SELECT stage, name, f1, f2 FROM metrics WHERE scope = 'class' ORDER BY stage, f1",
         stages="evaluate compare_methods",
     ),
     result_view(
         "method_cells",
         "The segments that the compared methods of annotation found, one row per cell and take.",
-        """cell    VARCHAR    hash of all that the row follows from
+        """cell    VARCHAR    hash of everything that the row depends on
 split    VARCHAR    the division of the archive into training and test
-fold    VARCHAR    which division
+fold    VARCHAR    name of the fold of the split
 method    VARCHAR    the method of annotation
 take    VARCHAR    name of the take
-frames    INTEGER    its length in frames
-classes    VARCHAR[]    the labels found
-starts    INTEGER[]    first frame of each
-stops    INTEGER[]    frame after the last of each
-confidences    DOUBLE[]    margin of each, from 0 to 1""",
+frames    INTEGER    length of the take in frames
+classes    VARCHAR[]    classes of the segments found
+starts    INTEGER[]    first frame of each segment
+stops    INTEGER[]    frame after the last of each segment
+confidences    DOUBLE[]    margin of each segment, from 0 to 1""",
         "SELECT split, method, count(DISTINCT take) AS takes FROM method_cells GROUP BY ALL ORDER BY ALL",
         stages="compare_methods",
     ),
     result_view(
         "precision_recall",
         "Precision and recall of rankings for each stiffness of keyframe queries.",
-        """variant    VARCHAR    which frames were ranked: those that the queries left, or all
-stiffness    DOUBLE    of all gaps of the queries, where it was changed
+        """variant    VARCHAR    the frames that were ranked: the hits of the queries, or all frames
+stiffness    DOUBLE    stiffness of all gaps of the queries, if it was changed
 class    VARCHAR    the class that was looked for
 relevant    INTEGER    number of items to find
-ranked    INTEGER    number of items that the queries left to be ranked
-found    INTEGER    number of relevant items among these
-kept    DOUBLE    share of the frames that the queries left
-average_precision    DOUBLE    1 where all that should be found comes first
-precision    DOUBLE[]    after each rank
-recall    DOUBLE[]    after each rank""",
+ranked    INTEGER    number of items within the frames that were ranked
+found    INTEGER    number of relevant items among the ranked items
+kept    DOUBLE    share of the frames that were ranked
+average_precision    DOUBLE    average precision of the ranking; 1 if all relevant items come first
+precision    DOUBLE[]    precision after each rank
+recall    DOUBLE[]    recall after each rank""",
         "SELECT stiffness, avg(average_precision) AS average_precision FROM precision_recall GROUP BY ALL ORDER BY ALL",
         stages="vary_stiffness",
     ),

@@ -10,11 +10,11 @@ ARCHIVE_VIEWS = (
         "Takes that hold the same file or motion as a longer take, as `kinedex duplicates` found them last.",
         f"""{TAKE}
 of_take_id    BIGINT    id of the other take, which is longer, or as long with an earlier name
-of_take    VARCHAR    its name
-same    VARCHAR    file: a copy of the same file; motion: the joints move alike
+of_take    VARCHAR    name of the other take
+same    VARCHAR    kind of the duplicate: file (a copy of the same file) or motion (the joints move alike)
 {SECONDS}
-share    DOUBLE    share of the take that this range is
-shift_seconds    DOUBLE    time t of the take is t + shift_seconds of the other one
+share    DOUBLE    share of the take that the range covers
+shift_seconds    DOUBLE    shift in seconds: time t of the take is time t + shift_seconds of the other take
 mirrored    BOOLEAN    true if left and right are exchanged
 distance_mm    DOUBLE    mean distance of the joints around the root""",
         "SELECT take, of_take, share, mirrored FROM duplicates WHERE share > 0.9 ORDER BY take, of_take LIMIT 10",
@@ -23,10 +23,10 @@ distance_mm    DOUBLE    mean distance of the joints around the root""",
         "skeleton_files",
         "The skeleton files that takes were read with, as they were when they were last checked.",
         """source_root    VARCHAR    the folder that was ingested
-source    VARCHAR    the skeleton file, relative to it
-source_bytes    BIGINT    its size
-source_mtime_ns    BIGINT    its time of change, in nanoseconds since 1970
-checksum    VARCHAR    its SHA-256""",
+source    VARCHAR    path of the skeleton file, relative to source_root
+source_bytes    BIGINT    size of the file in bytes
+source_mtime_ns    BIGINT    time of the last change of the file, in nanoseconds since 1970
+checksum    VARCHAR    SHA-256 of the file""",
         "SELECT t.name, t.skeleton_source, s.checksum FROM takes AS t JOIN skeleton_files AS s "
         "ON (s.source_root, s.source) = (t.source_root, t.skeleton_source) ORDER BY t.name LIMIT 10",
         stages="ingest",
@@ -35,11 +35,12 @@ checksum    VARCHAR    its SHA-256""",
         "source_files",
         "All files below the folder that a stage ingested last, and what became of each.",
         """source_root    VARCHAR    the folder that was ingested
-source    VARCHAR    the file, relative to it; also a folder that cannot be read
-ending    VARCHAR    its ending in small letters, with the dot
-outcome    VARCHAR    in (the store has its takes), refused, skeleton, metadata, not read, passed over (no motion)
-takes    INTEGER    number of its takes in the store
-reason    VARCHAR    the fault, the way out, or the kind of a file that was passed over""",
+source    VARCHAR    path of the file, relative to source_root; also of a folder that cannot be read
+ending    VARCHAR    extension of the file in lower case, with the dot
+outcome    VARCHAR    outcome of the ingest: in (the store has the takes of the file), refused, skeleton, metadata, \
+not read, passed over (no motion)
+takes    INTEGER    number of takes of the file in the store
+reason    VARCHAR    the fault and the remedy, or the kind of a file that was passed over""",
         "SELECT outcome, ending, count(*) AS files FROM source_files GROUP BY ALL ORDER BY files DESC, ending",
         stages="ingest",
     ),
@@ -49,10 +50,10 @@ reason    VARCHAR    the fault, the way out, or the kind of a file that was pass
         """source    VARCHAR    the source file, relative to its root
 stage    VARCHAR    the stage that met it
 error    VARCHAR    kind of error
-message    VARCHAR    the fault, and the way out
-file    VARCHAR    the file that is at fault, where it is another one
-line    INTEGER    its line, where there is one
-logged_at    TIMESTAMP WITH TIME ZONE    when""",
+message    VARCHAR    the fault and the remedy
+file    VARCHAR    the file that is at fault, if it is another file
+line    INTEGER    line of the fault, if it is known
+logged_at    TIMESTAMP WITH TIME ZONE    time of the log entry""",
         "SELECT source, line, message FROM ingest_log ORDER BY source, line",
         stages="ingest read_imu",
     ),
@@ -60,9 +61,9 @@ logged_at    TIMESTAMP WITH TIME ZONE    when""",
         "known_failures",
         "Files that failed when a run was told to remember it (`--known-failures remember`).",
         """file    VARCHAR    the file
-checksum    VARCHAR    hash of its content, and of that of another file that is at fault
+checksum    VARCHAR    hash of the content of the file, and of another file that is at fault
 error    VARCHAR    kind of error; UnmatchedLabels of a label file whose labels match no take
-reason    VARCHAR    the fault, and the way out""",
+reason    VARCHAR    the fault and the remedy""",
         "SELECT file, reason FROM known_failures ORDER BY file",
     ),
     result_view(

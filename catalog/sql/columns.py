@@ -60,16 +60,16 @@ def columns(text: str) -> tuple[Column, ...]:
 
 TAKE = """take_id    BIGINT    id of the take
 take    VARCHAR    name of the take"""
-RANGE = """start    INTEGER    first frame, from 0
+RANGE = """start    INTEGER    first frame, counted from 0
 stop    INTEGER    frame after the last"""
 SECONDS = f"""{RANGE}
-start_seconds    DOUBLE    start as time
-stop_seconds    DOUBLE    stop as time"""
+start_seconds    DOUBLE    time of the start in seconds
+stop_seconds    DOUBLE    time of the stop in seconds"""
 
 _RUN = "run    VARCHAR    the run of a stage that wrote the row"
 _ORIGIN = columns("""
-pipeline    VARCHAR    the pipeline that wrote the row; NULL for what a command has stored
-stage    VARCHAR    its stage
+pipeline    VARCHAR    the pipeline that wrote the row; NULL for rows that a command has stored
+stage    VARCHAR    the stage of the pipeline that wrote the row
 pipeline_run    VARCHAR    the run of the pipeline, as in `pipeline_runs`; NULL while the stage runs again
 """)
 ORIGIN = tuple(column.name for column in _ORIGIN)

@@ -14,32 +14,32 @@ from kinedex.catalog.sql.depth_views import DEPTH_VIEWS
 from kinedex.catalog.sql.inertial_views import INERTIAL_VIEWS
 from kinedex.catalog.sql.tracking_views import TRACKING_VIEWS
 
-_QUERY = """masks    UBIGINT[]    for each keyframe, the features it asks for: bit i − 1 is feature i
-values    UBIGINT[]    for each keyframe, those of its features that must be on
+_QUERY = """masks    UBIGINT[]    features that each keyframe asks for; bit i − 1 is feature i
+values    UBIGINT[]    features of each keyframe that must be on
 positions    INTEGER[]    the template column of each keyframe, from 0
-lows    INTEGER[]    least gap to each next keyframe, in frames
-highs    INTEGER[]    greatest gap to each next keyframe, in frames; −1: any"""
+lows    INTEGER[]    smallest gap to each next keyframe, in frames
+highs    INTEGER[]    largest gap to each next keyframe, in frames; −1 for any gap"""
 
 KEYFRAME_VIEWS = (
     result_view(
         "queries",
         "Learned keyframe queries, in bits of whole words, with their margins.",
-        f"""subclass    VARCHAR    whose motions it preselects
-number    INTEGER    0 for the first query of a subclass; further ones find what it misses
-origin    VARCHAR    consensus of the runs, best run, or run
+        f"""subclass    VARCHAR    the subclass whose motions the query preselects
+number    INTEGER    number of the query, 0 for the first of a subclass; further queries find what the first one misses
+origin    VARCHAR    origin of the query: consensus of the runs, best run, or run
 {_QUERY}
-left    INTEGER    frames before a hit that the motion may reach
-right    INTEGER    frames after a hit that the motion may reach
-columns    INTEGER    columns of the template
-fitness    DOUBLE    of the consensus (thesis, Eq. 4.11)
-rank    DOUBLE    the value that queries are compared by, from the fitness
+left    INTEGER    number of frames before a hit into which the motion may extend
+right    INTEGER    number of frames after a hit into which the motion may extend
+columns    INTEGER    number of columns of the template
+fitness    DOUBLE    fitness of the consensus (thesis, Eq. 4.11)
+rank    DOUBLE    value by which queries are compared, computed from the fitness
 median    DOUBLE    rank of the median run
 best    DOUBLE    rank of the best run
-agreement    DOUBLE    share of keyframes that had to agree on a feature; 0 where it is a run
-precision    DOUBLE    of all queries of the subclass together, on the training clips
-recall    DOUBLE    likewise
+agreement    DOUBLE    share of keyframes that had to agree on a feature; 0 if the query is that of a run
+precision    DOUBLE    precision of all queries of the subclass together, on the training clips
+recall    DOUBLE    recall of all queries of the subclass together, on the training clips
 runs    INTEGER    number of runs
-settled    BOOLEAN    true if more runs had ceased to change the outcome
+settled    BOOLEAN    true if further runs no longer changed the outcome
 matrix    DOUBLE[]    entries fixed by the runs, columns × features, from 0 (off) to 1 (on); NULL for further queries
 clips    VARCHAR[]    the training clips of the subclass""",
         "SELECT subclass, len(masks) AS keyframes, recall, precision FROM queries ORDER BY subclass, number",
@@ -47,22 +47,22 @@ clips    VARCHAR[]    the training clips of the subclass""",
     ),
     result_view(
         "keyframe_runs",
-        "The runs that keyframe queries were learned in, one row each.",
-        f"""key    VARCHAR    hash of all that a run follows from but its number
-subclass    VARCHAR    the subclass that it learns to find
+        "The runs in which keyframe queries were learned, with one row for each run.",
+        f"""key    VARCHAR    hash of everything that a run depends on, except its number
+subclass    VARCHAR    the subclass that the run learns to find
 number    INTEGER    number of the run
-fitness    DOUBLE    of its best query (thesis, Eq. 4.11)
-rank    DOUBLE    the value that queries are compared by
+fitness    DOUBLE    fitness of the best query of the run (thesis, Eq. 4.11)
+rank    DOUBLE    value by which queries are compared
 evaluated    BIGINT    number of queries that were tried
 {_QUERY}
-history    DOUBLE[]    four numbers for each generation""",
+history    DOUBLE[]    mean precision and recall, and mean and best fitness, of each generation""",
         "SELECT subclass, count(*) AS runs, max(fitness) AS best FROM keyframe_runs GROUP BY subclass ORDER BY ALL",
         stages="learn_keyframes",
     ),
     result_view(
         "hits",
         "The saved hits of keyframe queries.",
-        f"""saved_as    VARCHAR    the name that they were kept under: `kinedex search --save`
+        f"""saved_as    VARCHAR    the name under which `kinedex search --save` saved the hits
 query    VARCHAR    name of the query
 {TAKE}
 {SECONDS}""",

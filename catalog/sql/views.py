@@ -11,10 +11,10 @@ from kinedex.catalog.sql.result_views import RESULT_VIEWS
 __all__ = ["MACROS", "VIEWS", "Column", "Macro", "View", "help_rows"]
 
 _RANGE = """take_id    BIGINT    id of the take
-start    INTEGER    first frame, from 0
+start    INTEGER    first frame, counted from 0
 stop    INTEGER    frame after the last"""
-_WORD = """feature_set    VARCHAR    upper, lower or mix
-word    UBIGINT    the word, cut down to the set: bit i is the feature with that `bit`"""
+_WORD = """feature_set    VARCHAR    the feature set: upper, lower or mix
+word    UBIGINT    the bits of the word that belong to the set; bit i is the feature with this `bit`"""
 
 # Annotations define which subclasses are in a class; a subclass in no annotation forms its own class.
 _CLASSES = """WITH members AS (
@@ -47,24 +47,26 @@ SELECT k.class,
 FROM known AS k GROUP BY k.class ORDER BY k.class"""
 
 _LABEL = """take    VARCHAR    name of the take, which the store may lack at present
-take_id    BIGINT    its id; NULL where the store has no such take
+take_id    BIGINT    id of the take; NULL if the store has no such take
 class    VARCHAR    the class (or subclass) that the statement is about
-start    INTEGER    first frame, from 0
+start    INTEGER    first frame, counted from 0
 stop    INTEGER    frame after the last
-start_seconds    DOUBLE    begin
-stop_seconds    DOUBLE    end
-limb    VARCHAR    the limb that it is about, where one is named
-verdict    VARCHAR    positive: the frames show the class; negative: they do not; withdrawn: takes another row back
-annotator    VARCHAR    the person
-origin    VARCHAR    imported, accepted (from an annotation, also where it was rejected), corrected or drawn
+start_seconds    DOUBLE    time of the start in seconds
+stop_seconds    DOUBLE    time of the stop in seconds
+limb    VARCHAR    the limb that the statement is about, if one is named
+verdict    VARCHAR    the verdict: positive (the frames show the class), negative (they do not) or withdrawn (the row \
+that is replaced no longer counts)
+annotator    VARCHAR    the person who made the statement
+origin    VARCHAR    origin of the label: imported, accepted (from an annotation, also if it was rejected), corrected \
+or drawn
 source    VARCHAR    the label file with its line, or the stage of the annotation
 created    TIMESTAMP WITH TIME ZONE    time of the decision
-confidence    DOUBLE    that of the annotation, or of the person, from 0 to 1
-note    VARCHAR    a remark
-id    VARCHAR    its id
-replaces    VARCHAR    id of the row that it takes the place of
+confidence    DOUBLE    confidence of the annotation or of the person, from 0 to 1
+note    VARCHAR    remark of the person
+id    VARCHAR    id of the label
+replaces    VARCHAR    id of the row that this row replaces
 checksum    VARCHAR    SHA-256 of the take's source file when the statement was made
-file_changed    BOOLEAN    true if the take's file is another one now; NULL where the store has no such take
+file_changed    BOOLEAN    true if the take's file has changed since; NULL if the store has no such take
 """
 
 VIEWS = (
@@ -73,30 +75,31 @@ VIEWS = (
         "index",
         "One row per take: name, source file, rate, length, actor, class, warnings.",
         columns("""
-take_id    BIGINT    its number, which stays when the file is read again
-name    VARCHAR    its name: the stem or the path of the source file, as the parameter `name` of ingest sets
-source    VARCHAR    the source file, relative to source_root
+take_id    BIGINT    id of the take, which stays the same if the file is read again
+name    VARCHAR    name of the take: the stem or the path of the source file, as the parameter `name` of ingest \
+determines
+source    VARCHAR    path of the source file, relative to source_root
 source_root    VARCHAR    the folder of the archive
 checksum    VARCHAR    SHA-256 of the source file
 source_bytes    BIGINT    size of the source file
-source_mtime_ns    BIGINT    when the source file was changed, in nanoseconds since 1970
-format    VARCHAR    amc, bvh, c3d, …
-skeleton    VARCHAR    the mapping from its nodes to the 24 joints
-skeleton_source    VARCHAR    the skeleton file that goes with it, where there is one
-recipe    VARCHAR    hash of all that decides what the file becomes
+source_mtime_ns    BIGINT    time of the last change of the source file, in nanoseconds since 1970
+format    VARCHAR    format of the source file: amc, bvh, c3d, …
+skeleton    VARCHAR    name of the mapping from the nodes of the file to the 24 joints
+skeleton_source    VARCHAR    the skeleton file of the source file, if it has one
+recipe    VARCHAR    hash of everything, except the file, that the frames of the take depend on
 unit    VARCHAR    unit of length in the file
-source_rate_hz    DOUBLE    frames a second in the file
-source_frames    BIGINT    frames in the file
-rate_hz    DOUBLE    frames a second here
-frames    BIGINT    frames here
-seconds    DOUBLE    duration
-invalid_frames    BIGINT    frames without a word, because joints were not seen
-actor    VARCHAR    who moves, as `patterns` of ingest say
-class    VARCHAR    what a clip shows (its subclass); NULL for other takes
-clip    VARCHAR    number of the clip, as the patterns say
-groups    VARCHAR    JSON: all further named groups of the patterns, which are columns of their own, too
-warnings    VARCHAR[]    reservations about the file
-known    UBIGINT    mask of the features that the body has joints for, with the bits of a word; NULL stands for all
+source_rate_hz    DOUBLE    frames per second in the file
+source_frames    BIGINT    number of frames in the file
+rate_hz    DOUBLE    frames per second in the store
+frames    BIGINT    number of frames in the store
+seconds    DOUBLE    duration in seconds
+invalid_frames    BIGINT    number of frames without a word, because joints were not seen
+actor    VARCHAR    name of the actor, as the `patterns` of ingest state
+class    VARCHAR    the class that a clip shows (its subclass); NULL for other takes
+clip    VARCHAR    number of the clip, as the patterns state
+groups    VARCHAR    all further named groups of the patterns as JSON; they are also separate columns
+warnings    VARCHAR[]    warnings about the file
+known    UBIGINT    mask of the features that the body has joints for, with the bits of a word; NULL for all features
 """),
         "SELECT name, actor, seconds, warnings FROM takes WHERE class IS NULL ORDER BY seconds DESC LIMIT 10",
     ),
@@ -105,11 +108,11 @@ known    UBIGINT    mask of the features that the body has joints for, with the 
         "index",
         "The features of the store's feature set.",
         columns("""
-number    UTINYINT    F1 is 1; bit number − 1 of a whole word
+number    UTINYINT    number of the feature, 1 for F1, which is bit number − 1 of a whole word
 name    VARCHAR    short name, such as rhand_forwards
 description    VARCHAR    the property of the body that it states
-feature_set    VARCHAR    the set it belongs to: upper, lower or mix
-bit    UTINYINT    its bit in the words of that set
+feature_set    VARCHAR    the set that the feature belongs to: upper, lower or mix
+bit    UTINYINT    bit of the feature in the words of that set
 """),
         "SELECT number, name, description FROM features WHERE name LIKE '%knee%'",
     ),
@@ -135,8 +138,8 @@ seconds    DOUBLE    duration of the run"""),
         "index",
         "The distinct words of each feature set, with their runs and frames in the takes that know the whole set.",
         columns(f"""{_WORD}
-runs    BIGINT    its runs in all takes
-frames    BIGINT    its frames in all takes"""),
+runs    BIGINT    number of runs of the word in all takes
+frames    BIGINT    number of frames of the word in all takes"""),
         "SELECT feature_set, count(*) AS words FROM vocabulary GROUP BY feature_set ORDER BY feature_set",
     ),
     View(
@@ -145,8 +148,8 @@ frames    BIGINT    its frames in all takes"""),
         "This list: every view and macro with its purpose.",
         columns("""
 name    VARCHAR    name of the view or macro
-call    VARCHAR    how it stands in a query
-summary    VARCHAR    what it is for
+call    VARCHAR    the way in which a query uses the view or macro
+summary    VARCHAR    purpose of the view or macro
 example    VARCHAR    a query that runs
 """),
         "SELECT name, summary FROM help WHERE call LIKE '%feature%'",
@@ -158,9 +161,11 @@ example    VARCHAR    a query that runs
         columns("""
 take_id    BIGINT    id of the take
 frame    INTEGER    number of the frame, from 0
-JOINT    STRUCT(x FLOAT, y FLOAT, z FLOAT)    24 columns, each the place of a joint in metres, Y up
-root_orientation    STRUCT(w FLOAT, x FLOAT, y FLOAT, z FLOAT)    how the body is turned, as a quaternion
-word    UBIGINT    bit i − 1 is feature i; NULL where a joint was not seen that a feature needs
+JOINT    STRUCT(x FLOAT, y FLOAT, z FLOAT)    position of the joint in metres, Y up, in one column for each of the 24 \
+joints
+root_orientation    STRUCT(w FLOAT, x FLOAT, y FLOAT, z FLOAT)    orientation of the root as a quaternion
+word    UBIGINT    the features of the frame as bits; bit i − 1 is feature i; NULL if a joint that a feature needs \
+was not seen
 """),
         "SELECT take_id, max(rwrist.y) AS highest FROM frames GROUP BY take_id ORDER BY highest DESC, take_id LIMIT 5",
     ),
@@ -169,13 +174,13 @@ word    UBIGINT    bit i − 1 is feature i; NULL where a joint was not seen tha
         "derived",
         "The classes of the archive: subclasses, clips, annotations, labels, and the sources that name each class.",
         columns("""
-class    VARCHAR    the class; of a subclass that no annotation puts into one, the subclass
+class    VARCHAR    the class; for a subclass that no annotation assigns to a class, the subclass
 subclasses    VARCHAR[]    the labels of clips, templates and queries in it
-clips    BIGINT    how many clips it has
-clip_seconds    DOUBLE    their duration
-annotations    BIGINT    segments that the view `annotations` gives it
-labels    BIGINT    manual segments of the view `ground_truth`
-known_from    VARCHAR[]    clips, templates, queries, annotations, ground_truth: where it occurs
+clips    BIGINT    number of clips of the class
+clip_seconds    DOUBLE    total duration of these clips in seconds
+annotations    BIGINT    number of its segments in the view `annotations`
+labels    BIGINT    number of its manual segments in the view `ground_truth`
+known_from    VARCHAR[]    the sources in which the class occurs: clips, templates, queries, annotations, ground_truth
 """),
         "SELECT class, clips, annotations FROM classes WHERE list_contains(known_from, 'clips') ORDER BY class",
         _CLASSES,
@@ -188,11 +193,11 @@ known_from    VARCHAR[]    clips, templates, queries, annotations, ground_truth:
 take_id    BIGINT    id of the take
 take    VARCHAR    name of the take
 figure    VARCHAR    the column of `takes`
-value    DOUBLE    its value
-low    DOUBLE    least value that is expected; NULL for none
-high    DOUBLE    greatest value that is expected; NULL for none
-unit    VARCHAR    unit of the three
-meaning    VARCHAR    what the figure measures
+value    DOUBLE    value of the figure
+low    DOUBLE    smallest value that is expected; NULL if there is no limit
+high    DOUBLE    largest value that is expected; NULL if there is no limit
+unit    VARCHAR    unit of value, low and high
+meaning    VARCHAR    property that the figure measures
 """),
         "SELECT figure, count(*) AS takes FROM suspect_takes GROUP BY figure ORDER BY takes DESC, figure",
         suspect_select(),
@@ -216,14 +221,14 @@ accepted    BOOLEAN    true if a person has accepted this message about this tak
     View(
         "label_history",
         "labels",
-        "All rows of labels, also those that others replace, in the order in which they were made.",
-        columns(f"{_LABEL}current    BOOLEAN    true if no other row replaces it and it withdraws none"),
+        "All rows of labels, including replaced ones, in the order in which they were made.",
+        columns(f"{_LABEL}current    BOOLEAN    true if no other row replaces this row and it withdraws no row"),
         "SELECT take, class, start, stop, verdict, created FROM label_history WHERE NOT current ORDER BY created",
     ),
     View(
         "labels",
         "labels",
-        "The labels of people that count at present.",
+        "The labels of people that currently count.",
         columns(_LABEL),
         "SELECT class, verdict, count(*) AS labels FROM labels GROUP BY class, verdict ORDER BY class, verdict",
         "SELECT * EXCLUDE (current) FROM label_history WHERE current",
@@ -236,13 +241,13 @@ accepted    BOOLEAN    true if a person has accepted this message about this tak
         columns("""
 pipeline    VARCHAR    name of the pipeline
 pipeline_run    VARCHAR    id of the run
-finished    TIMESTAMP WITH TIME ZONE    when its last stage was done
-seconds    DOUBLE    duration of its stages
-stages    VARCHAR[]    the stages that ran in it last; others had nothing to do, or have run again since
-views    VARCHAR[]    the views of results that show its rows
-command    VARCHAR    the command that ran it
+finished    TIMESTAMP WITH TIME ZONE    time at which the last stage of the run was done
+seconds    DOUBLE    total duration of the stages in seconds
+stages    VARCHAR[]    the stages that ran last in this run; other stages had nothing to do, or have run again since
+views    VARCHAR[]    the views of results that show the rows of the run
+command    VARCHAR    the command that ran the pipeline
 kinedex    VARCHAR    version of kinedex
-current    BOOLEAN    true for the current pipeline: the last one run, or that of `kinedex use`
+current    BOOLEAN    true for the current pipeline, which is the one that ran last or that `kinedex use` has chosen
 """),
         "SELECT pipeline, finished, stages, views, current FROM pipeline_runs ORDER BY finished",
     ),
