@@ -22,6 +22,8 @@ _WORD = re.compile(r"[^\W_]+")
 _EXPLICIT = ("joint", "center", "centre", "jc")  # words that mark a label of a marker set as a joint
 _MAX_CHOICES = 16  # alternatives of a joint; more never help
 _LOOKED_AT = 60  # most labels in which a prefix without a separator is searched
+_ARM = 4  # least labels of a set for one arm, which do not say of which
+_UNUSED = "unused"  # such labels that are of no use
 _SKIN = 3  # least labels of skin landmarks in a file of markers
 _TRUNK = ("lasis", "rasis", "lpsis", "rpsis", "sacrum", "c7", "clav", "t10", "strn")
 """Landmarks of the trunk, some of which every set of skin markers has."""
@@ -38,6 +40,7 @@ class _Part(BaseModel):
     sided: dict[str, list[str]] = Field(default_factory=dict)
     middle: dict[str, list[str]] = Field(default_factory=dict)
     clusters: dict[str, list[str]] = Field(default_factory=dict)
+    arm: dict[str, list[str]] = Field(default_factory=dict)
     spine: list[str] = Field(default_factory=list)
 
 
@@ -136,6 +139,8 @@ class Reading:
         The labels that name nothing.
     sets : tuple of str
         The marker sets with a convention of their own that the labels belong to.
+    arm : dict of str to str
+        Landmark of an arm of unknown side → its label, in a set for one arm.
     made : dict
         The mixes of joints that have been made of them.
     """
@@ -144,12 +149,18 @@ class Reading:
     skin: bool
     unread: tuple[str, ...]
     sets: tuple[str, ...] = ()
+    arm: dict[str, str] = field(default_factory=dict)
     made: dict[str, dict[Mix, Choice]] = field(default_factory=dict, compare=False, repr=False)
 
     @property
     def known(self) -> int:
         """The number of labels that name a landmark."""
-        return sum(map(len, self.labels.values()))
+        return sum(map(len, self.labels.values())) + len(self.arm)
+
+    def with_arm(self, side: str) -> Reading:
+        """Return the landmarks with those of the arm of unknown side on a side, "l" or "r"."""
+        sided = {f"{side}{landmark}": (label,) for landmark, label in self.arm.items()}
+        return Reading(self.labels | sided, self.skin, self.unread, self.sets)
 
 
 Table = dict[str, list[tuple[str, int]]]
@@ -163,6 +174,8 @@ class Landmarks:
     ----------
     skin, centres : Table
         Label without case and marks → the landmarks that it may name, each with its place in the list of labels.
+    arm : dict of str to str
+        Label of a set for one arm → landmark without its side.
     order : tuple of str
         All landmarks in the order in which they choose their labels.
     many : frozenset of str
@@ -181,6 +194,7 @@ class Landmarks:
 
     skin: Table
     centres: Table
+    arm: Mapping[str, str]
     order: tuple[str, ...]
     many: frozenset[str]
     sides: Mapping[str, str]
@@ -221,6 +235,8 @@ class Landmarks:
                 keys[label] = self._key_of(name)
             elif name[1:] in _MODEL_JOINTS:
                 keys[label] = (name[0].lower() + _MODEL_JOINTS[name[1:]],)
+        arm, of_arm = self._arm(keys)
+        keys = {label: forms for label, forms in keys.items() if label not in of_arm}
         skin = self._found(keys, self.skin)
         centres = self._found(keys, self.centres)
         own = len({label for label, _, _ in skin} - {label for label, _, _ in centres})
@@ -230,10 +246,16 @@ class Landmarks:
             explicit = {label for label in keys if any(word in keys[label][0] for word in _EXPLICIT)}
             centres = [hit for hit in centres if hit[0] in explicit or hit[1][0] not in "lr"]
         named = _assigned([*(skin if is_skin else ()), *centres], self.order, self.many)
-        used = {label for found in named.values() for label in found}
+        used = {label for found in named.values() for label in found} | {*arm.values()}
         forms = {form for known in keys.values() for form in known}
         sets = tuple(name for name, one in self.sets.items() if len(forms & one.labels) >= one.least)
-        return Reading(named, is_skin, tuple(label for label in labels if label not in used), sets)
+        return Reading(named, is_skin, tuple(label for label in labels if label not in used), sets, arm)
+
+    def _arm(self, keys: Mapping[str, tuple[str, ...]]) -> tuple[dict[str, str], set[str]]:
+        """Return landmark → label of a set for one arm, and all labels of it; both empty if there is no such set."""
+        found = {label: self.arm[forms[-1]] for label, forms in keys.items() if forms[-1] in self.arm}
+        named = {landmark: label for label, landmark in reversed(found.items()) if landmark != _UNUSED}
+        return (named, set(found)) if len(named) >= _ARM else ({}, set())
 
     def _key_of(self, label: str) -> tuple[str, ...]:
         """Return the forms under which a label is looked up: all its words, and its words without a side."""
@@ -460,8 +482,9 @@ def _landmarks(located: Located, parsed: _LandmarkFile) -> Landmarks:
             for name in (*(name for name, _ in choice.weights), *choice.plane):
                 if name.rpartition(" ")[2] not in (joints if name.startswith("joint ") else known):
                     raise located.error(f"no landmark is called '{name}'", "joints", joint)
+    arm = {label.replace(" ", ""): name for name, labels in parsed.skin.arm.items() for label in labels}
     return Landmarks(
-        skin, centres, tuple(order), frozenset(many), sides, tuple(parsed.suffixes), joints, points, orders, sets
+        skin, centres, arm, tuple(order), frozenset(many), sides, tuple(parsed.suffixes), joints, points, orders, sets
     )
 
 

@@ -85,7 +85,8 @@ def named_reading(reading: Reading, landmarks: Landmarks, named: Mapping[str, st
     used = {label for those in labels.values() for label in those}
     everything = [*(label for those in reading.labels.values() for label in those), *reading.unread]
     unread = tuple(label for label in everything if label not in used)
-    return Reading(labels, reading.skin or bool(on_skin & set(wanted.values())), unread)
+    arm = {landmark: label for landmark, label in reading.arm.items() if label not in named}
+    return Reading(labels, reading.skin or bool(on_skin & set(wanted.values())), unread, reading.sets, arm)
 
 
 def set_named_joints(draft: BodyDraft, named: Mapping[str, str], joints: Sequence[str]) -> None:

@@ -17,7 +17,7 @@ from kinedex.catalog.skeletons.recognition.exchanged_labels import exchanged_lab
 from kinedex.catalog.skeletons.recognition.landmarks import Landmarks, Reading, load_landmarks
 from kinedex.catalog.skeletons.recognition.named_points import named_reading, set_named_joints
 from kinedex.catalog.skeletons.recognition.point_centres import add_centres, add_regressions
-from kinedex.catalog.skeletons.recognition.point_trunk import SIDES, BodyDraft, add_ends, add_trunk
+from kinedex.catalog.skeletons.recognition.point_trunk import SIDES, BodyDraft, add_ends, add_trunk, median_length
 from kinedex.catalog.skeletons.skeleton_fit import Fit, Format, Mix, SkeletonMapping, axes_of_up
 from kinedex.ops.arrays import F64
 from kinedex.ops.body.up_axis import up_axis
@@ -29,8 +29,12 @@ NAME = {True: "recognised markers", False: "recognised points"}
 MIN_CONFIDENCE = 0.5
 """Minimum confidence at which a recognised body is accepted."""
 
-_LEGS = tuple(f"{side}{part}" for side in SIDES for part in ("hip", "knee", "ankle"))
-_ARMS = tuple(f"{side}{part}" for side in SIDES for part in ("shoulder", "elbow", "wrist"))
+_WHOLE_LIMBS = tuple(
+    tuple(f"{side}{part}" for part in parts)
+    for parts in (("hip", "knee", "ankle"), ("shoulder", "elbow", "wrist"))
+    for side in SIDES
+)
+_LEGS = _WHOLE_LIMBS[0] + _WHOLE_LIMBS[1]
 
 _LIMBS = {
     "thigh": ("hip", "knee"), "shank": ("knee", "ankle"),
@@ -125,11 +129,13 @@ def _recognised(
     named: Mapping[str, str] | None = None,
 ) -> tuple[Fit, str]:
     """Return the best fit, and the reason why the points are no body; the reason is empty if they are one."""
+    index = {name: i for i, name in enumerate(evidence.names)}
+    draft = BodyDraft({name: evidence.positions[i] for name, i in index.items()})
     reading = landmarks.read(evidence.names)
     if named:
         reading = named_reading(reading, landmarks, named)
-    index = {name: i for i, name in enumerate(evidence.names)}
-    draft = BodyDraft({name: evidence.positions[i] for name, i in index.items()})
+    if reading.arm:
+        reading = reading.with_arm(_side_of_arm(reading, draft))
     add_regressions(draft, landmarks, reading, joints)
     if not reading.skin:
         add_centres(draft, reading)
@@ -151,6 +157,17 @@ def _recognised(
         confidence=proportions.confidence,
     )
     return found, f"{refusal}{_found(draft, reading, evidence)}" if refusal else ""
+
+
+def _side_of_arm(reading: Reading, draft: BodyDraft) -> str:
+    """Return the side of an arm whose labels do not state it: that on which the pelvis is nearer to its shoulder."""
+    shoulder = draft.positions[reading.arm.get("acromion", next(iter(reading.arm.values())))]
+    away = {}
+    for side in SIDES:
+        pelvis = [draft.positions[reading.labels[f"{side}{part}"][0]] for part in ("asis", "psis")
+                  if f"{side}{part}" in reading.labels]  # fmt: skip
+        away[side] = float(np.mean([median_length(point - shoulder) for point in pelvis])) if pelvis else np.inf
+    return min(SIDES, key=lambda side: away[side])
 
 
 def _upright(positions: Mapping[str, F64], evidence: Evidence) -> tuple[F64, list[str]]:
@@ -192,14 +209,11 @@ def _depth(made: Mapping[str, Sequence[Mix]], joint: str) -> int:
 
 
 def _refusal(draft: BodyDraft, reading: Reading, proportions: Proportions) -> str:
-    """Return the reason why these points are no body; empty if they are one."""
-    legs = [joint for joint in _LEGS if joint in draft.joints]
-    arms = [joint for joint in _ARMS if joint in draft.joints]
-    if not (
-        len(legs) == len(_LEGS)
-        or (len(arms) == len(_ARMS) and "neck" in draft.joints and {"root", "chest"} & draft.joints.keys())
-    ):
-        return "no human body is recognised among its points: neither two whole legs nor two arms and a trunk"
+    """Return the reason why these points are no body; the reason is empty if they are one."""
+    limbs = [limb for limb in _WHOLE_LIMBS if set(limb) <= draft.joints.keys()]
+    trunk = "neck" in draft.joints and {"root", "chest"} & draft.joints.keys()
+    if not (set(_LEGS) <= draft.joints.keys() or (limbs and trunk)):
+        return "no human body is recognised among its points: neither two whole legs nor a whole limb and a trunk"
     if proportions.confidence < MIN_CONFIDENCE:
         return f"its points have no human proportions ({'; '.join(proportions.doubts)})"
     return ""

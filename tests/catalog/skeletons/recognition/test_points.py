@@ -132,6 +132,36 @@ def test_an_upper_body_comes_in_without_a_root() -> None:
     assert {"neck", "chest", "lshoulder", "relbow", "lwrist"} <= set(JOINTS) - set(fit.unknown)
 
 
+ONE_ARM = {
+    "ACRO_tip": "SHO", "EPICl": "ELB", "STYLr": "WRA", "STYLu": "WRB", "INDEX": "FIN",
+}  # fmt: skip
+"""Labels of a set for one arm, each with the marker where it lies."""
+
+
+@pytest.mark.parametrize("side", ["l", "r"])
+def test_the_arm_of_a_set_for_one_arm_is_that_of_the_nearer_side_of_the_pelvis(side: str) -> None:
+    places = dict(zip(LABELS, standing_markers(4), strict=True))
+    trunk = {"ASISl": "LFWT", "ASISr": "RFWT", "PSISl": "LBWT", "PSISr": "RBWT", "T1": "C7", "T10": "T10"}
+    markers = trunk | {"XIPH": "STRN", "CLAV_SC": "CLAV", "CLAVl": "CLAV", "STER": "STRN"}
+    markers |= {label: side.upper() + name for label, name in ONE_ARM.items()}
+    evidence = Evidence(tuple(markers), np.array([places[name] for name in markers.values()]), up="y")
+    fit = recognise_points("one.trc", evidence, JOINTS)
+    other = "r" if side == "l" else "l"
+    assert {f"{other}{part}" for part in ("shoulder", "elbow", "wrist", "fingers")} <= set(fit.unknown)
+    assert not {f"{side}{part}" for part in ("shoulder", "elbow", "wrist", "fingers")} & set(fit.unknown)
+    found = dict(zip(JOINTS, fit.apply(evidence.positions, JOINTS), strict=True))
+    np.testing.assert_allclose(found[f"{side}elbow"], places[f"{side.upper()}ELB"], atol=1e-6)
+    np.testing.assert_allclose(found[f"{side}shoulder"], places[f"{side.upper()}SHO"], atol=0.08)
+
+
+def test_a_whole_limb_with_a_trunk_is_a_body_of_which_the_others_are_unknown() -> None:
+    kept = [label for label in LABELS if label not in ("LELB", "RWRA", "RWRB", "RFIN", "LKNE", "LTOE", "LANK", "LHEE")]
+    places = dict(zip(LABELS, standing_markers(4), strict=True))
+    fit = recognise_points("a.trc", Evidence(tuple(kept), np.array([places[label] for label in kept])), JOINTS)
+    assert {"lelbow", "rwrist", "lknee", "lankle"} <= set(fit.unknown)
+    assert not {"rhip", "rknee", "rankle", "relbow", "neck", "root"} & set(fit.unknown)
+
+
 def test_a_file_turned_on_its_side_is_turned_back_unless_it_states_what_is_up() -> None:
     points = standing_markers(8)
     lying = points[:, [2, 0, 1]]  # Z is up
