@@ -72,10 +72,11 @@ class Tree:
         return path[::-1]
 
     def longest_way(self, node: int) -> list[int]:
-        """Return the nodes from one down to the end that is farthest along the bones."""
+        """Return the nodes from one down to the end that is farthest along the bones, or to toes that branch off."""
         path = [node]
-        while self.children[path[-1]]:
-            path.append(max(self.children[path[-1]], key=lambda child: self.lengths[child] + self.reach[child]))
+        while children := self.children[path[-1]]:
+            toes = [child for child in children if "toes" in self.parts[child]]
+            path.append(max(toes or children, key=lambda child: self.lengths[child] + self.reach[child]))
         return path
 
     def below(self, node: int) -> list[int]:
@@ -157,14 +158,17 @@ def _used(parts: tuple[tuple[str, ...], ...], parents: tuple[int, ...]) -> list[
     """Return whether each node may be part of a limb.
 
     Nodes named as one of `ASIDE`, and all nodes below them, may not, unless a node further down has a core name.
+    A heel without toes below it is no part of a leg: at the end of the longest branch, it makes feet point backwards.
     """
     used = [True] * len(parts)
-    core = [False] * len(parts)
+    core, ahead = [False] * len(parts), [False] * len(parts)
     for i in range(len(parts) - 1, -1, -1):
         core[i] = core[i] or bool(_CORE & set(parts[i]))
-        used[i] = core[i] or not ASIDE & set(parts[i])
-        if core[i] and parents[i] >= 0:
-            core[parents[i]] = True
+        ahead[i] = ahead[i] or core[i] or "toes" in parts[i]
+        used[i] = core[i] or not (ASIDE & set(parts[i]) or ("heel" in parts[i] and not ahead[i]))
+        if parents[i] >= 0:
+            core[parents[i]] |= core[i]
+            ahead[parents[i]] |= ahead[i]
     for i, parent in enumerate(parents):
         used[i] = used[i] and (parent < 0 or used[parent])
     return used

@@ -19,7 +19,7 @@ from kinedex.catalog.skeletons.recognition.named_joints import polyline_point
 from kinedex.catalog.skeletons.recognition.proposal import mapping_yaml
 from kinedex.catalog.skeletons.recognition.recognised_tree import propose_tree, recognise_tree
 from kinedex.ops.errors import SourceError
-from tests.skeleton_dialects import DIALECTS, evidence_of
+from tests.skeleton_dialects import DIALECTS, PLACES, Dialect, evidence_of
 
 JOINTS = load_feature_set().joints
 NEAR_M = 0.05
@@ -63,6 +63,31 @@ def test_a_mirrored_nameless_body_has_its_sides_exchanged() -> None:
     left, right = (recognise_tree("x", evidence, JOINTS).joints for evidence in (straight, mirrored))
     for joint in ("hip", "knee", "ankle", "shoulder", "elbow", "wrist"):
         assert (left[f"l{joint}"], left[f"r{joint}"]) == (right[f"r{joint}"], right[f"l{joint}"])
+
+
+HEELS = {
+    "a heel and no toes": "{}Heel {}Foot heel/",
+    "a heel with a tip farther away than the toes": "{}Heel {}Foot heel/{}Heel_end {}Heel spur/{}Toe {}Foot ball/",
+    "a calcaneus farther away than the toes": "{}Calcaneus {}Foot spur/{}Toe {}Foot ball/",
+    "an end without a name behind the foot": "{}Toe {}Foot ball/{}Foot_end {}Foot spur/",
+    "toes that hang from the heel": "{}Heel {}Foot heel/{}Toe {}Heel toe/",
+}
+"""Nodes below the foot; a spur lies behind the heel, farther from the ankle than the ball of the foot."""
+
+
+@pytest.mark.parametrize("foot", HEELS)
+def test_a_heel_is_no_tip_of_the_foot_by_which_the_body_would_face_backwards(
+    foot: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setitem(PLACES, "spur", (0.10, 0.0, -0.16))
+    lines = DIALECTS["lafan1"].lines.replace("{}Toe {}Foot ball/{}Toe_end {}Toe toe/", HEELS[foot])
+    evidence, truth = evidence_of(Dialect(lines))
+    fit = recognise_tree("x", evidence, JOINTS)
+    assert np.linalg.det(fit.mapping.axes) == pytest.approx(1.0)
+    assert fit.confidence > 0.9
+    placed = dict(zip(JOINTS, fit.apply(evidence.positions, JOINTS), strict=True))
+    assert all(np.linalg.norm(placed[joint] - place, axis=0).max() < NEAR_M for joint, place in truth.items())
+    assert placed["ltoes"][2, 0] > placed["lankle"][2, 0] + 0.08  # ahead
 
 
 def test_named_sides_on_the_wrong_side_are_left_handed_axes_and_doubtful() -> None:
