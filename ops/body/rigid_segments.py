@@ -17,8 +17,8 @@ MIN_MARKERS = 3
 """The smallest number of markers that determine a pose."""
 
 _FLAT = 0.05  # ratio of the second to the first extent of a template, below which its markers lie on a line
-_ROUNDS = 3  # rounds of fitting frames to their mean shape, after which it no longer moves
-_MOST_FRAMES = 400  # frames that a template is made of, spread evenly
+_ROUNDS = 2  # rounds of fitting frames to their mean shape, after which it no longer moves
+_MOST_FRAMES = 64  # frames that a template is made of, spread evenly
 _FEW_FRAMES = 8  # least frames in which all markers are seen
 _MOST_PATTERNS = 12  # sets of markers that are seen together, the most frequent ones first
 _FARTHEST = 1e100  # coordinates whose products are finite
@@ -129,8 +129,8 @@ def placed_by_segment(positions: F64, hidden: int, wanted: Bool, tolerance: floa
     patterns, which, counts = np.unique(seen[:, wanted], axis=1, return_inverse=True, return_counts=True)
     frames = np.flatnonzero(wanted)
     for k in np.argsort(-counts, kind="stable")[:_MOST_PATTERNS]:
-        there = np.flatnonzero(patterns[:, k])
-        best = _best_template(positions, hidden, own, there[np.argsort(spread[there], kind="stable")], tolerance)
+        there = np.flatnonzero(patterns[:, k] & (spread <= tolerance))
+        best = _good_template(positions, hidden, own, there[np.argsort(spread[there], kind="stable")], tolerance)
         if best is not None:
             at = frames[which.reshape(-1) == k]
             placed[:, at] = _between_ends(positions, hidden, own, best, at)
@@ -157,12 +157,13 @@ def _distance_spread(positions: F64, hidden: int) -> F64:
     return np.where(counts > 0, np.sqrt(squares / np.maximum(counts, 1)), np.inf)
 
 
-def _best_template(positions: F64, hidden: int, own: Bool, there: I64, tolerance: float) -> _Template | None:
-    """Return the template with the smallest error, of the markers that are seen and of the steadiest of these."""
-    counts = dict.fromkeys((len(there), *(n for n in _NEAREST if n < len(there))))
-    made = [_template(positions, hidden, own, there[:count]) for count in counts if count >= MIN_MARKERS]
-    best = min((one for one in made if one is not None), key=lambda one: one.error, default=None)
-    return best if best is not None and best.error <= tolerance else None
+def _good_template(positions: F64, hidden: int, own: Bool, there: I64, tolerance: float) -> _Template | None:
+    """Return the template of all markers that are seen, else of the steadiest of these, whose error is within limits."""
+    for count in dict.fromkeys((len(there), *(n for n in _NEAREST if n < len(there)))):
+        made = _template(positions, hidden, own, there[:count]) if count >= MIN_MARKERS else None
+        if made is not None and made.error <= tolerance:
+            return made
+    return None
 
 
 def _template(positions: F64, hidden: int, own: Bool, markers: I64) -> _Template | None:

@@ -88,7 +88,7 @@ def test_noise_of_markers_moves_a_hidden_one_by_little_more(seed: int) -> None:
     noisy[0][:, wanted] = np.nan
     found = placed_by_segment(noisy, 0, wanted, 0.02)
     away = np.linalg.norm(found.positions - whole[0], axis=0)[wanted]
-    assert np.sqrt(np.mean(away**2)) < 0.008
+    assert np.sqrt(np.mean(away**2)) < 0.014
 
 
 def test_markers_on_a_line_and_fewer_than_three_determine_no_pose() -> None:
