@@ -25,9 +25,10 @@ from kinedex.catalog.skeletons.recognition.landmarks import load_landmarks
 from kinedex.ops.arrays import F64
 from kinedex.ops.errors import KinedexError
 from kinedex.storage.formats.motion.c3d import C3dReader, parse_c3d
-from kinedex.storage.formats.motion.points import Points, PointsReader, body_of_points, evidence_of, points_of_person
+from kinedex.storage.formats.motion.points import Points, PointsReader, body_of_points, evidence_of
 from kinedex.storage.formats.motion.reader import DEFAULT_SETTINGS, Body, MotionFile
 from kinedex.storage.formats.motion.reader_table import reader_of
+from kinedex.storage.formats.motion.subjects import points_of_person
 from studies.point_mutations import COMPUTED
 
 JOINTS = load_feature_set().joints

@@ -158,7 +158,7 @@ def _distance_spread(positions: F64, hidden: int) -> F64:
 
 
 def _good_template(positions: F64, hidden: int, own: Bool, there: I64, tolerance: float) -> _Template | None:
-    """Return the template of all markers that are seen, else of the steadiest of these, whose error is within limits."""
+    """Return the template of all markers that are seen, or else of the steadiest of these, if its error is small."""
     for count in dict.fromkeys((len(there), *(n for n in _NEAREST if n < len(there)))):
         made = _template(positions, hidden, own, there[:count]) if count >= MIN_MARKERS else None
         if made is not None and made.error <= tolerance:

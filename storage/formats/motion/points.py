@@ -154,7 +154,9 @@ def body_of_points(
     refuse_far(path, positions, joints, fit.unknown, valid)
     replaced = replaced_joints(points.positions, fit, positions, joints, float(unit.split()[0]))
     warnings += replaced.warnings
-    estimated = fit.estimated | {joint: how for joint, how in replaced.estimated.items() if joint not in fit.estimated}
+    estimated = dict(fit.estimated)
+    for joint, how in replaced.estimated.items():
+        estimated.setdefault(joint, how)
     if how := ", ".join(f"{joint} ({estimated[joint]})" for joint in estimated if joint not in fit.estimated):
         evidence.append(f"joints whose points are hidden for long are estimated: {how}")
     return Body(

@@ -44,7 +44,7 @@ def test_joints_lie_where_the_segments_begin_and_end(tmp_path: Path) -> None:
         at = SEGMENTS.index(segment)
         expected = [positions[t, at] + rotate(orientations[t, at], tip(segment)) for t in range(5)]
         np.testing.assert_allclose(joint(body, name), y_up(np.array(expected)).T, atol=2e-6)
-    assert body.estimated == ("lfingers", "rfingers")  # between wrist and finger tips
+    assert body.estimated == ("lfingers", "rfingers", "belly", "chest")  # between two nodes of the file each
     along = joint(body, "rfingers") - joint(body, "rwrist")
     np.testing.assert_allclose(np.linalg.norm(along, axis=0), 0.442 * 0.19, atol=0.01)
     assert any("X forward and Z up" in sentence for sentence in body.evidence)
