@@ -17,7 +17,6 @@ MIN_MARKERS = 3
 """The smallest number of markers that determine a pose."""
 
 _FLAT = 0.05  # ratio of the second to the first extent of a template, below which its markers lie on a line
-_ROUNDS = 2  # rounds of fitting frames to their mean shape, after which it no longer moves
 _MOST_FRAMES = 64  # frames that a template is made of, spread evenly
 _FEW_FRAMES = 8  # least frames in which all markers are seen
 _MOST_PATTERNS = 12  # sets of markers that are seen together, the most frequent ones first
@@ -91,10 +90,7 @@ def mean_shape(positions: F64) -> F64:
         There are fewer than three markers, or they lie on a line.
     """
     shape = positions[:, :, positions.shape[2] // 2]
-    shape = shape - shape.mean(axis=0)
-    for _ in range(_ROUNDS):
-        shape = in_segment(fit_poses(shape, positions), positions).mean(axis=2)
-    return shape
+    return in_segment(fit_poses(shape - shape.mean(axis=0), positions), positions).mean(axis=2)
 
 
 def in_segment(poses: Poses, positions: F64) -> F64:
@@ -158,7 +154,7 @@ def _distance_spread(positions: F64, hidden: int) -> F64:
 
 
 def _good_template(positions: F64, hidden: int, own: Bool, there: I64, tolerance: float) -> _Template | None:
-    """Return the template of all markers that are seen, or else of the steadiest of these, if its error is small."""
+    """Return the template of all markers that are seen, else of the steadiest ones, whose error is within limits."""
     for count in dict.fromkeys((len(there), *(n for n in _NEAREST if n < len(there)))):
         made = _template(positions, hidden, own, there[:count]) if count >= MIN_MARKERS else None
         if made is not None and made.error <= tolerance:
