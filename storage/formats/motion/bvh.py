@@ -20,6 +20,7 @@ from kinedex.catalog.skeletons.recognition.node_places import (
     twist_nodes,
     with_exchanged,
 )
+from kinedex.catalog.skeletons.root_units import root_factor
 from kinedex.ops.body import kinematics
 from kinedex.ops.errors import SourceError
 from kinedex.storage.formats.motion.bvh_parser import BvhFile
@@ -46,6 +47,8 @@ F64 = npt.NDArray[np.float64]
 _MIN_NODES = 10  # a root with fewer nodes is a prop or a camera
 _HEAD_BYTES = 1 << 18  # bytes; enough for the hierarchy of some thousand joints
 _KEPT_BYTES = 32 << 20  # bytes of channels that are kept between recognition and reading
+_FEW_POSITIONS = 9  # position channels; more belong to files that place every node
+_OTHER_UNIT = "its root seems to move in another unit than that of the bones"
 _NEARLY_NOTHING = 0.01  # fraction of the length of the OFFSET
 _NODES = re.compile(rb"(?<![^\s{}])(ROOT|JOINT)\s+[^\s{}]+", re.IGNORECASE)
 _MOTION_LINE = re.compile(rb"^[ \t]*MOTION[ \t\r]*$", re.IGNORECASE | re.MULTILINE)
@@ -209,6 +212,12 @@ def _fitted(bvh: _Motion, name: str, mappings: Mappings, joints: tuple[str, ...]
     nodes, restored = _restore(person, fit)
     positions, turned = posed(bvh, nodes, fit.root, fit, joints)
     fit, turned_by = turned_upright(fit, _resting(person), positions, joints)
+    columns = _root_columns(bvh.file, nodes)
+    factor = root_factor(positions, joints) if columns else None
+    if factor is not None:
+        whole, turned = posed(_Rescaled(bvh, columns, factor), nodes, fit.root, fit, joints)
+        positions, doubt = whole, f"{_OTHER_UNIT}: times {factor:.4g} the feet stand on the floor; it is read so"
+        fit = replace(fit, doubts=(*fit.doubts, doubt))
     return FittedPerson(fit, positions, turned, turned_by, restored, nodes, person.members)
 
 
@@ -238,6 +247,28 @@ def _with_lost_bones(person: Person) -> tuple[Person, LostBones | None]:
     for i, offset in lost.offsets.items():
         nodes[i], whole[i] = replace(nodes[i], before=offset), offset
     return replace(person, nodes=tuple(nodes), offsets=whole), lost
+
+
+def _root_columns(file: BvhFile, nodes: Sequence[kinematics.Node]) -> list[int]:
+    """Return the columns that place the root of a figure; empty if many other nodes have positions of their own."""
+    if file.position_channels > _FEW_POSITIONS:
+        return []
+    return [step.column for step in nodes[0].steps if step.kind >= kinematics.MOVE_X]
+
+
+class _Rescaled:
+    """A motion whose root moves by a factor."""
+
+    def __init__(self, motion: _Motion, columns: list[int], factor: float) -> None:
+        self.motion, self.columns, self.factor = motion, columns, factor
+        self.path, self.frames = motion.path, motion.frames
+
+    def blocks(self) -> Iterator[F64]:
+        """Yield the channels of consecutive frames."""
+        for block in self.motion.blocks():
+            part = block.copy()
+            part[:, self.columns] *= self.factor
+            yield part
 
 
 class _Motion:

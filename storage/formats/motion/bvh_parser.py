@@ -216,6 +216,7 @@ class BvhFile(RowFile):
             text.data[: text.pos], text.settings[-2], text.settings[-1], hierarchy.spans, hierarchy.numbers
         )
         self.nodes, self._scale = hierarchy.nodes, np.where(hierarchy.rotations, np.pi / 180.0, 1.0)
+        self.position_channels = len(hierarchy.rotations) - int(np.count_nonzero(hierarchy.rotations))
         self.offsets, self.redundant = hierarchy.offsets, hierarchy.redundant
 
     @property

@@ -17,7 +17,15 @@ from kinedex.catalog.configs import shipped_configs
 from kinedex.catalog.skeletons.body_evidence import SAMPLED_FRAMES
 from kinedex.catalog.skeletons.recognition.recognised_tree import judged_up
 from kinedex.catalog.skeletons.skeleton_fit import Fit, axes_of_up
-from kinedex.catalog.skeletons.units import FEET_M, contradicted_unit, guess_unit, rival_unit, unlikely_height
+from kinedex.catalog.skeletons.units import (
+    ADULT_M,
+    FEET_M,
+    HUMAN_M,
+    contradicted_unit,
+    guess_unit,
+    rival_unit,
+    unlikely_height,
+)
 from kinedex.ops.body import kinematics
 from kinedex.ops.body.tempo import likely_rate
 from kinedex.ops.errors import SourceError
@@ -238,8 +246,10 @@ def to_metres(
         name, unit_m, height = guess_unit(path, positions[:, :, frame:], joints)
         unit = f"{unit_m:.6g} m (guessed)"
         evidence.append(f"its unit of length is guessed: {name}, which makes the body {height:.2f} m high")
-        if (rival := rival_unit(unit_m, height)) is not None or name in FEET_M:
-            instead = "a rare unit" if rival is None else f"in {rival[0]} it would be {rival[1]:.2f} m high"
+        rival = rival_unit(unit_m, height)
+        if rival is not None or name in FEET_M or not ADULT_M <= height <= HUMAN_M[1]:
+            rare = "a rare unit" if name in FEET_M else "no grown person's height"
+            instead = rare if rival is None else f"in {rival[0]} it would be {rival[1]:.2f} m high"
             warnings.append(
                 f"its unit of length is doubtful: in {name} the body is {height:.2f} m high, read so; {instead}; "
                 "state `unit_m` in a skeleton mapping"

@@ -91,3 +91,11 @@ def test_the_files_of_the_study_with_wrong_names_are_read_rightly(tmp_path: Path
                 assert outcomes(file, tmp_path / "take.bvh", mistake) == [], file.name
             found = outcomes(file, tmp_path / "take.bvh", "bone of no length")
             assert [one for one in found if one[0] not in ("warned", "not knowable")] == [], file.name
+
+
+@pytest.mark.parametrize("name", ["root in another unit than offsets", "other unit", "origin far away"])
+@pytest.mark.skipif(not (SHARED / "data" / "wild").is_dir(), reason="no ../shared/data/wild")
+def test_no_file_of_the_study_moves_silently_by_its_unit(name: str, tmp_path: Path) -> None:
+    for file in bvh_files(SHARED / "data"):
+        found = outcomes(file, tmp_path / "take.bvh", name)
+        assert [one for one in found if one[0] not in ("warned", "refused")] == [], file.name
