@@ -1,8 +1,8 @@
 """Learn again from labels in the background: the settings, the run, the list of its changes, and undo.
 
 `GET /api/learn` answers with `learning_facts`, `POST /api/learn {examples?, method?, where?}` starts a job,
-`GET /api/learn/changes` lists what the last one changed, and `POST /api/learn/undo` starts a job that brings the
-annotations before it back. Once the page has asked for the facts, a process is kept ready (`jobs.WarmProcess`).
+`GET /api/learn/changes` lists the changes by the last such job, and `POST /api/learn/undo` starts a job that restores
+the annotations from before it. Once the page has asked for the facts, a process is kept ready (`jobs.WarmProcess`).
 
 The results belong to a separate pipeline, `learn-again`, which has the settings of the current annotation and the
 labels of people as further examples. So the results of other pipelines remain, and former results of `learn-again` can

@@ -478,7 +478,7 @@ def _join_neighbours(
 
 @njit(cache=True, nogil=True)
 def _label_components(n: int, parents: I32, labels: I32, sizes: I32) -> int:
-    """Number the components that are large enough by their lowest nodes, and return their number."""
+    """Number all large enough components from 0, in the order of their lowest nodes; return how many there are."""
     sizes[:n] = 0
     for i in range(n):
         parents[i] = parents[parents[i]]  # a parent is a lower node, so it already points to its root

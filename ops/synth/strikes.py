@@ -19,7 +19,7 @@ def kick(score: Score, side: str, times: int) -> list[float]:
     Returns
     -------
     list of float
-        The times at which a kick begins, and the end of the last one, seconds.
+        The times in seconds at which the kicks begin, followed by the end of the last kick.
     """
     score.begin("kick")
     actor = score.actor

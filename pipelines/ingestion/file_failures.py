@@ -34,7 +34,7 @@ class Failure:
     line : int, optional
         The line of the error.
     person : str
-        The person that could not be read, in a file with several; empty if the whole file failed.
+        The person that could not be read, in a file with several persons; empty if the whole file failed.
     """
 
     source: str
@@ -63,7 +63,7 @@ def file_failure(motion: SourceFile, fault: Exception, person: str | None = None
     fault : Exception
         The error.
     person : str, optional
-        The person, in a file with several.
+        The person, in a file with several persons.
     """
     if person:
         return _of_person(file_failure(motion, fault), person)

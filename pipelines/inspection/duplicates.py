@@ -121,7 +121,7 @@ def copies_line(store: Snapshot) -> str | None:
 
 
 def _same_files(store: Snapshot) -> tuple[list[dict[str, Any]], list[str]]:
-    """Return the rows of copies of files, and the names of the takes that remain."""
+    """Return the rows of takes whose file is a copy, and the names of all other takes."""
     several = ("person",) if "person" in store.manifest.takes_schema.names else ()
     rows = store.take_columns("name", "take_id", "checksum", *several)
     persons = rows.column("person").to_pylist() if several else [None] * rows.num_rows

@@ -180,7 +180,7 @@ class BvhFile(RowFile):
     Attributes
     ----------
     nodes : tuple of Node
-        As in `Bvh`, as are the other attributes.
+        The nodes; see `Bvh` for this and further attributes.
     frames : int
         The number of frames.
     offsets : float64 array (N, 3)

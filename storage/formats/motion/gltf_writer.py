@@ -170,8 +170,8 @@ class _Document:
     def mesh(self, names: Sequence[str], parents: Sequence[int], bound: F64) -> dict[str, Any]:
         """Return a mesh of octahedra at the joints and sticks between them, each vertex bound to one joint.
 
-        A stick has a face from every edge of one octahedron to that of the next, so that it has volume whatever the
-        direction between two nodes that do not rotate.
+        A stick joins corresponding edges of two octahedra by faces, so that it has volume in every direction, although
+        the nodes do not rotate.
         """
         corners = (bound[:, None] + _RADIUS_M * _CORNERS).reshape(-1, 3).astype(np.float32)
         joints = np.zeros((len(corners), 4), np.uint8)
