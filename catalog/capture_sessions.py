@@ -73,7 +73,7 @@ def with_session_warnings(rows: Sequence[Row]) -> list[dict[str, Any]]:
 
 
 def session_warnings(rows: Iterable[Row]) -> dict[int, list[str]]:
-    """Return take id → sentences on what contradicts the take's session, with the figures of both.
+    """Return take id → sentences on what contradicts the take's session, with the values of both.
 
     Parameters
     ----------
@@ -206,8 +206,8 @@ def _rates(takes: Sequence[Row]) -> Iterator[tuple[int, str]]:
     for row in takes:
         rate_hz = row["source_rate_hz"]
         if abs(rate_hz / float(usual) - 1) > _SAME_RATE:
-            figures = f"it is read at {rate_hz:.6g} Hz, they at {usual} Hz"
-            yield row["take_id"], f"{figures}; if its rate is wrong, give it by --rate to an ingest of this file alone"
+            values = f"it is read at {rate_hz:.6g} Hz, they at {usual} Hz"
+            yield row["take_id"], f"{values}; if its rate is wrong, give it by --rate to an ingest of this file alone"
 
 
 def _axes(takes: Sequence[Row]) -> Iterator[tuple[int, str]]:
@@ -215,8 +215,8 @@ def _axes(takes: Sequence[Row]) -> Iterator[tuple[int, str]]:
     for row in takes:
         up = row.get("file_up") or usual
         if up != usual and usual is not None:
-            figures = f"{up} is taken as its vertical axis, {usual} as theirs"
-            yield row["take_id"], f"{figures}; if it stands along {usual}, state `up: {usual}` in a skeleton mapping"
+            values = f"{up} is taken as its vertical axis, {usual} as theirs"
+            yield row["take_id"], f"{values}; if it stands along {usual}, state `up: {usual}` in a skeleton mapping"
 
 
 def _estimates(takes: Sequence[Row]) -> Iterator[tuple[int, str]]:
@@ -264,16 +264,16 @@ def _bodies(takes: Sequence[Row]) -> Iterator[tuple[int, str]]:
     usual, limit = (one, _OTHER_BODY) if one.is_clear else (several, _ANY_BODIES)
     others = {take for take, height in heights.items() if usual.is_clear and _beyond(height, usual.median, limit)}
     for take in sorted(others):
-        figures = f"its body is {heights[take]:.2f} m high, theirs {usual.median:.2f} m"
-        yield take, f"{figures}; it is another person, or unit or scale is wrong: state `unit_m` in a skeleton mapping"
+        values = f"its body is {heights[take]:.2f} m high, theirs {usual.median:.2f} m"
+        yield take, f"{values}; it is another person, or unit or scale is wrong: state `unit_m` in a skeleton mapping"
     for column, limb in _LIMBS.items() if one.is_clear else ():
         shares = _values(takes, f"{column}_share")
         lengths = {take: share * heights[take] for take, share in shares.items() if take in heights}
         length = _typical(lengths.values(), _SAME_LIMB)
         for take, value in lengths.items():
             if length.is_clear and take not in others and _beyond(value, length.median, _OTHER_LIMB):
-                figures = f"its {limb} are {value:.2f} m long, theirs {length.median:.2f} m"
-                yield take, f"{figures}; labels or bones may be exchanged"
+                values = f"its {limb} are {value:.2f} m long, theirs {length.median:.2f} m"
+                yield take, f"{values}; labels or bones may be exchanged"
 
 
 def _tempos(takes: Sequence[Row]) -> Iterator[tuple[int, str]]:
@@ -284,5 +284,5 @@ def _tempos(takes: Sequence[Row]) -> Iterator[tuple[int, str]]:
         fast = value > tempo.median * _OTHER_TEMPO and speeds[take] > speed.median * _OTHER_SPEED
         slow = value < tempo.median / _OTHER_TEMPO and speeds[take] < speed.median / _OTHER_SPEED
         if fast or slow:
-            figures = f"its hands and feet turn {value:.2g} times a second, theirs {tempo.median:.2g} times"
-            yield take, f"{figures}; if its rate is wrong, give it by --rate to an ingest of this file alone"
+            values = f"its hands and feet turn {value:.2g} times a second, theirs {tempo.median:.2g} times"
+            yield take, f"{values}; if its rate is wrong, give it by --rate to an ingest of this file alone"

@@ -28,7 +28,7 @@ KINDS = {
     "bodies": "body for depth images",
     "sensors": "file of sensors",
     "imu_grades": "grade of simulated sensors",
-    "printed": "file of printed figures",
+    "printed": "file of printed results",
     "bodies/filmed": "body before simulated depth cameras",
     "pipelines": "pipeline",
 }

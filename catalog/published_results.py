@@ -33,14 +33,14 @@ class PublishedError(BaseModel):
 
 
 class PublishedResults(BaseModel):
-    """The printed figures of one publication."""
+    """The printed results of one publication."""
 
     model_config = ConfigDict(extra="forbid")
     source: str = Field(description="publication, section, and what it was measured on")
     figures: list[PublishedScore] = Field(default_factory=list)
     limbs: dict[str, PublishedError] = Field(default_factory=dict, description="limb → its error")
 
-    def figure(self, name: str, annotator: str, tau_deg: float) -> PublishedScore | None:
+    def score(self, name: str, annotator: str, tau_deg: float) -> PublishedScore | None:
         """Return the printed score of a group or limb for an annotator and a threshold; None if there is none."""
         words = annotator.split()
         return next(
@@ -54,7 +54,7 @@ class PublishedResults(BaseModel):
 
 
 def load_published(name_or_path: str | Path) -> PublishedResults:
-    """Read printed figures from `configs/printed/` or from a user's file.
+    """Read printed results from `configs/printed/` or from a user's file.
 
     Parameters
     ----------

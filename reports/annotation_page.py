@@ -16,10 +16,10 @@ from kinedex.ops.wording import counted, two_digits
 from kinedex.reports.archive_strip import archive_strip
 from kinedex.reports.cards import Card, card, readable, rules
 from kinedex.reports.embedded_motions import EmbeddedMotions, motions_json, script_json
-from kinedex.reports.method_figures import ConfusionTable, confusion_table
+from kinedex.reports.method_diagrams import ConfusionTable, confusion_table
 from kinedex.reports.page_environment import page_environment
 from kinedex.reports.palette import colour_rules, colour_slot
-from kinedex.reports.reliability import reliability_figure
+from kinedex.reports.reliability import reliability_diagram
 from kinedex.reports.report_data import ReportData, Score
 from kinedex.reports.report_overview import (
     BARS,
@@ -35,7 +35,7 @@ from kinedex.reports.report_overview import (
     totals,
 )
 from kinedex.reports.take_selection import Choice, choose_takes, findings_of
-from kinedex.reports.timelines import HEIGHT, CurveFigure, Timeline, curve_figure, overlap, timeline, y_ticks
+from kinedex.reports.timelines import HEIGHT, CurveDiagram, Timeline, curve_diagram, overlap, timeline, y_ticks
 
 DELTA_SHOWN = 0.05
 """The δ with which templates are quantised on the page if the δ of the annotation is not stored."""
@@ -124,7 +124,7 @@ def annotation_page(
             dark=dark,
             **_findings(data, slots, motions, near or {}),
             **_measures(data, labels),
-            **_figures(data, slots, choice, near or {}),
+            **_diagrams(data, slots, choice, near or {}),
         )
     )
 
@@ -179,23 +179,23 @@ def _measures(data: ReportData, labels: Sequence[str]) -> dict[str, object]:
         "unseen": folds_without_training(data),
         "weakest": weakest_classes(data),
         "confusion": confusion_of(data, labels),
-        "reliability": reliability_figure(data),
+        "reliability": reliability_diagram(data),
         "take_seconds": {take.name: take.seconds for take in data.takes},
     }
 
 
-def _figures(data: ReportData, slots: Mapping[str, int], choice: Choice, near: Mapping[Key, int]) -> dict[str, object]:
+def _diagrams(data: ReportData, slots: Mapping[str, int], choice: Choice, near: Mapping[Key, int]) -> dict[str, object]:
     """Return the variables of the page for timelines, templates and distance curves."""
     delta = DELTA_SHOWN if data.delta is None else data.delta
-    figure = curves_of(data, slots)
+    diagram = curves_of(data, slots)
     return {
         "timelines": timelines_of(data, choice.shown, slots, near),
         "delta": delta,
         "cards": cards_of(data, delta),
         "cards_open": CARDS,
         "rules": rules(data.feature_set),
-        "figure": figure,
-        "y_ticks": y_ticks(figure) if figure else (),
+        "diagram": diagram,
+        "y_ticks": y_ticks(diagram) if diagram else (),
         "height": HEIGHT,
     }
 
@@ -240,14 +240,14 @@ def timelines_of(
     ]
 
 
-def curves_of(data: ReportData, slots: Mapping[str, int]) -> CurveFigure | None:
+def curves_of(data: ReportData, slots: Mapping[str, int]) -> CurveDiagram | None:
     """Lay out the distance curves; None if the data has none."""
     rows = {take.name: take for take in data.takes}
     if data.curves_take is None or not data.curves or data.curves_take not in rows:
         return None
     name = data.curves_take
     automatic, manual = by_take(data.automatic).get(name, []), by_take(data.manual).get(name, [])
-    return curve_figure(rows[name], data.curves, automatic, manual, slots, data.tau)
+    return curve_diagram(rows[name], data.curves, automatic, manual, slots, data.tau)
 
 
 def cards_of(data: ReportData, delta: float) -> list[Card]:

@@ -55,7 +55,7 @@ class Cell:
 
 @dataclass(frozen=True)
 class Matrix:
-    """A figure of keyframes over the columns of a template, with a row per feature and a cell per keyframe entry.
+    """A matrix of keyframes over the columns of a template, with a row per feature and a cell per keyframe entry.
 
     `names` has the names of the rows, `runs` the cells of all learning runs, `queries` the cells of the learned
     queries, and `ticks` the places and texts on the axis.

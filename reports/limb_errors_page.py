@@ -23,7 +23,7 @@ from kinedex.reports.limb_error_data import (
     packed_triads,
     refusals,
 )
-from kinedex.reports.limb_error_figures import (
+from kinedex.reports.limb_error_diagrams import (
     BINS,
     CHART_HEIGHT,
     CHART_WIDTH,
@@ -74,7 +74,7 @@ class AgreementCard:
 
 @dataclass(frozen=True)
 class ShownLimb:
-    """A limb of a take on the page: the path of its errors, the boxes of its timeline, and figures in degrees."""
+    """A limb of a take on the page: the path of its errors, the boxes of its timeline, and statistics in degrees."""
 
     errors: LimbErrors
     path: str
@@ -236,13 +236,13 @@ def _shown(take: TakeErrors, motions: EmbeddedMotions, rate_hz: float, top: floa
     for limb in take.limbs:
         known = limb.known
         nan = (math.nan, math.nan, math.nan)
-        figures = (float(np.median(known)), float(np.percentile(known, 95)), float(known.max())) if len(known) else nan
+        numbers = (float(np.median(known)), float(np.percentile(known, 95)), float(known.max())) if len(known) else nan
         limbs.append(
             ShownLimb(
                 limb, curve_path(limb.times, limb.degrees, seconds, top),
                 _boxes(limb.automatic, take.frames, rate_hz),
                 {who: _boxes(own, take.frames, rate_hz) for who, own in limb.manual.items()},
-                *figures, _median(limb.swing), _median(limb.twist),
+                *numbers, _median(limb.swing), _median(limb.twist),
             )
         )  # fmt: skip
     return ShownTake(take, tuple(limbs), mounts, time_axis(seconds), motions.has(take.take, 0, take.frames))

@@ -37,7 +37,7 @@ class Panel:
 
 
 @dataclass(frozen=True)
-class MatrixFigure:
+class MatrixPicture:
     """Panels side by side over the same named rows.
 
     Attributes
@@ -71,8 +71,8 @@ class MatrixFigure:
     rate_hz: float
 
 
-def write_figure(figure: MatrixFigure, path: Path) -> None:
-    """Write a figure in the format of the extension of its path, .svg or .png.
+def write_matrices(picture: MatrixPicture, path: Path) -> None:
+    """Write a picture in the format of the extension of its path, .svg or .png.
 
     Raises
     ------
@@ -83,41 +83,41 @@ def write_figure(figure: MatrixFigure, path: Path) -> None:
     """
     if path.suffix.lower() not in ENDINGS:
         raise KinedexError(f"{path}: expected an ending of {' or '.join(ENDINGS)}, got '{path.suffix}'")
-    path.write_bytes(draw(figure, path.suffix.lower().lstrip(".")))
+    path.write_bytes(draw(picture, path.suffix.lower().lstrip(".")))
 
 
-def draw(figure: MatrixFigure, form: str) -> bytes:
-    """Draw a figure as "svg" or "png"."""
-    columns = [panel.colours.shape[1] for panel in figure.panels]
+def draw(picture: MatrixPicture, form: str) -> bytes:
+    """Draw a picture as "svg" or "png"."""
+    columns = [panel.colours.shape[1] for panel in picture.panels]
     cell = min(max(_MAX_WIDTH / sum(columns), _MIN_CELL), _MAX_CELL)
     inner = cell * sum(columns) + _GAP * (len(columns) - 1)
-    width = max(2 * _EDGE + _NAMES + inner + _NOTES, 2 * _EDGE + 7.2 * len(figure.note))
-    height = _HEAD + _ROW * len(figure.rows) + _FOOT
-    canvas: Svg | Png = Svg(width, height, figure.title) if form == "svg" else Png(width, height)
-    canvas.text(_EDGE, 28, figure.title, 18, _TEXT)
-    canvas.text(_EDGE, 48, figure.note, 12, _FAINT)
-    _legend(canvas, figure)
-    for row, name in enumerate(figure.rows):
+    width = max(2 * _EDGE + _NAMES + inner + _NOTES, 2 * _EDGE + 7.2 * len(picture.note))
+    height = _HEAD + _ROW * len(picture.rows) + _FOOT
+    canvas: Svg | Png = Svg(width, height, picture.title) if form == "svg" else Png(width, height)
+    canvas.text(_EDGE, 28, picture.title, 18, _TEXT)
+    canvas.text(_EDGE, 48, picture.note, 12, _FAINT)
+    _legend(canvas, picture)
+    for row, name in enumerate(picture.rows):
         canvas.text(_EDGE + _NAMES - 8, _HEAD + _ROW * row + 11, name, 11, _TEXT, "end")
-        canvas.text(_EDGE + _NAMES + inner + 8, _HEAD + _ROW * row + 11, figure.notes[row], 11, _TEXT)
-    canvas.text(_EDGE + _NAMES + inner + 8, _HEAD - 8, figure.notes_head, 11, _FAINT)
+        canvas.text(_EDGE + _NAMES + inner + 8, _HEAD + _ROW * row + 11, picture.notes[row], 11, _TEXT)
+    canvas.text(_EDGE + _NAMES + inner + 8, _HEAD - 8, picture.notes_head, 11, _FAINT)
     left: float = _EDGE + _NAMES
-    for panel in figure.panels:
-        _panel(canvas, figure, panel, left, cell)
+    for panel in picture.panels:
+        _panel(canvas, picture, panel, left, cell)
         left += cell * panel.colours.shape[1] + _GAP
     return canvas.content()
 
 
-def _legend(canvas: Svg | Png, figure: MatrixFigure) -> None:
+def _legend(canvas: Svg | Png, picture: MatrixPicture) -> None:
     at: float = _EDGE
-    for colour, words in figure.legend:
+    for colour, words in picture.legend:
         canvas.rectangle(at - 1, 57, 12, 12, _FRAME)
         canvas.rectangle(at, 58, 10, 10, colour)
         canvas.text(at + 16, 67, words, 11, _TEXT)
         at += 34 + 6.1 * len(words)
 
 
-def _panel(canvas: Svg | Png, figure: MatrixFigure, panel: Panel, left: float, cell: float) -> None:
+def _panel(canvas: Svg | Png, picture: MatrixPicture, panel: Panel, left: float, cell: float) -> None:
     rows, columns, _ = panel.colours.shape
     width = cell * columns
     canvas.text(left, _HEAD - 8, panel.caption, 11, _FAINT)
@@ -130,9 +130,9 @@ def _panel(canvas: Svg | Png, figure: MatrixFigure, panel: Panel, left: float, c
             canvas.rectangle(
                 left + cell * start, _HEAD + _ROW * row, cell * (stop - start), _ROW - 1, (red, green, blue)
             )
-    for row in figure.rules:
+    for row in picture.rules:
         canvas.rectangle(left - 1, _HEAD + _ROW * row - 1, width + 2, 1, _RULE)
-    seconds = in_seconds(columns, figure.rate_hz)
+    seconds = in_seconds(columns, picture.rate_hz)
     for percent, text in time_axis(seconds, most=max(1, int(width / 45)), room=0.9).ticks:
         x = left + width * percent / 100
         canvas.rectangle(x, _HEAD + _ROW * rows, 1, 5, _FRAME)
@@ -205,13 +205,13 @@ NOT_COMPARED: Colour = (235, 235, 235)
 AGREED: Colour = (205, 205, 205)
 
 
-def template_figure(
+def template_picture(
     template: Template, title: str, note: str, delta: float, features: FeatureSet, rate_hz: float
-) -> MatrixFigure:
+) -> MatrixPicture:
     """Lay out a template, its quantised form at δ, and the consistency of each feature."""
     quantised = quantise(template, delta)
     agreement = consistency(template)
-    return MatrixFigure(
+    return MatrixPicture(
         title=title,
         note=note,
         rows=row_names(features),
@@ -237,7 +237,7 @@ def template_figure(
     )
 
 
-def contrast_figure(
+def contrast_picture(
     first: Template,
     second: Template,
     names: tuple[str, str],
@@ -246,7 +246,7 @@ def contrast_figure(
     note: str,
     features: FeatureSet,
     rate_hz: float,
-) -> MatrixFigure:
+) -> MatrixPicture:
     """Lay out two aligned templates, and the entries that contradict each other at δ."""
     count = len(features.features)
     one, other = (quantised_colours(quantise(template, delta), count) for template in (first, second))
@@ -255,7 +255,7 @@ def contrast_figure(
     against[found.against.T > 0] = FIRST_ON
     against[found.against.T < 0] = SECOND_ON
     many = np.abs(found.against).sum(axis=0)
-    return MatrixFigure(
+    return MatrixPicture(
         title=f"{names[0]} and {names[1]}",
         note=note,
         rows=row_names(features),

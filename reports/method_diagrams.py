@@ -1,4 +1,4 @@
-"""Lay out the figures of a comparison of methods: curves over τ, timelines, confusion matrix, boundary errors."""
+"""Lay out the diagrams of a comparison of methods: curves over τ, timelines, confusion matrix, boundary errors."""
 
 from __future__ import annotations
 

@@ -33,7 +33,7 @@ from kinedex.reports.comparison_tables import (
 from kinedex.reports.difference_tables import HEADER, VERDICTS, remarks, settings, signed_difference
 from kinedex.reports.embedded_motions import Embed, EmbeddedMotions, embed, motions_json
 from kinedex.reports.example_motions import with_study
-from kinedex.reports.method_figures import (
+from kinedex.reports.method_diagrams import (
     HEIGHT,
     STRIP_WIDTHS,
     WIDTH,
@@ -57,7 +57,7 @@ MAX_ROWS = 300
 
 @dataclass(frozen=True)
 class Section:
-    """The figures and tables of one split; `labels` are the classes of its tables."""
+    """The diagrams and tables of one split; `labels` are the classes of its tables."""
 
     result: SplitResult
     labels: tuple[str, ...]

@@ -34,7 +34,7 @@ MAX_COST_M = 0.15
 LENDERS = 8
 """Maximum number of archive takes in the table of takes that provide poses."""
 
-VOTES = "archive lent the pose"
+VOTES = "pose from the archive"
 """The name of the lane with the frames whose pose is from the pose database."""
 
 

@@ -45,7 +45,7 @@ class Bar:
 
 
 @dataclass(frozen=True)
-class ReliabilityFigure:
+class ReliabilityDiagram:
     """The reliability of the confidences of segments in takes with ground truth.
 
     Attributes
@@ -67,7 +67,7 @@ class ReliabilityFigure:
     brier: float
 
 
-def reliability_figure(data: ReportData) -> ReliabilityFigure | None:
+def reliability_diagram(data: ReportData) -> ReliabilityDiagram | None:
     """Lay out the reliability diagram; None without ground truth, or without confidences.
 
     A segment is right if manual segments of its class cover most of its frames.
@@ -82,7 +82,7 @@ def reliability_figure(data: ReportData) -> ReliabilityFigure | None:
     confidences = np.array([one.confidence for one in known], np.float64)
     right = np.array([_is_right(one, manual[one.take, one.label]) for one in known])
     bars = tuple(_bar(one) for one in reliability(confidences, right) if one.count)
-    return ReliabilityFigure(bars, len(known), int(right.sum()), auroc(confidences, right), brier(confidences, right))
+    return ReliabilityDiagram(bars, len(known), int(right.sum()), auroc(confidences, right), brier(confidences, right))
 
 
 def _is_right(one: TakeSegment, manual: Iterable[tuple[int, int]]) -> bool:

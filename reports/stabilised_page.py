@@ -73,8 +73,8 @@ class ShownPrior:
 class ShownTake:
     """A stabilised take on the page.
 
-    `bins` has the fractions of trusted keypoints over time, `figures` the metrics by part of the body before and after
-    stabilisation, and `moved_mm` is the mean displacement of all joints.
+    `bins` has the fractions of trusted keypoints over time, `metrics` the mean distances by part of the body before and
+    after stabilisation, and `moved_mm` is the mean displacement of all joints.
     """
 
     take: str
@@ -89,7 +89,7 @@ class ShownTake:
     priors: tuple[ShownPrior, ...]
     moved: tuple[tuple[str, float, float], ...]
     cameras: tuple[Mapping[str, Any], ...]
-    figures: tuple[tuple[str, float | None, float | None], ...]
+    metrics: tuple[tuple[str, float | None, float | None], ...]
     remarks: tuple[str, ...] = field(default=())
 
     @property
@@ -108,7 +108,7 @@ class ShownTake:
     @property
     def distances(self) -> tuple[float | None, float | None]:
         """Mean distances from the ground truth over all frames, before and after stabilisation; None if unknown."""
-        return next(((before, after) for name, before, after in self.figures if name == "all"), (None, None))
+        return next(((before, after) for name, before, after in self.metrics if name == "all"), (None, None))
 
     @property
     def lengths(self) -> str:
@@ -181,7 +181,7 @@ def _shown(store: Store, row: Mapping[str, Any], moved: F64, stage: str, frames:
     joints = row["joints"]
     whole = moved.shape[1] == len(joints)
     order = np.argsort(-moved.mean(axis=0), kind="stable")[: MOVED if whole else 0]
-    figures = {name: _metrics(store, name) for name in (before, take)}
+    metrics = {name: _metrics(store, name) for name in (before, take)}
     return ShownTake(
         take, before, row["recording"] or "", frames, in_seconds(frames, store.rate_hz), near, float(moved.mean()), row,
         tuple(float(part.mean()) for part in np.array_split(trusted, min(BINS, len(trusted)))),
@@ -189,9 +189,9 @@ def _shown(store: Store, row: Mapping[str, Any], moved: F64, stage: str, frames:
         tuple((joints[j], float(moved[:, j].mean()), float(moved[:, j].max())) for j in order),
         tuple(_cameras(_of_take(store, "track_cameras", stage, take).to_pylist())),
         tuple(
-            (name, figures[before].get(name), figures[take].get(name))
+            (name, metrics[before].get(name), metrics[take].get(name))
             for name in ("all", "in failures", "elsewhere")
-            if name in figures[take] or name in figures[before]
+            if name in metrics[take] or name in metrics[before]
         ),
         tuple(row["remarks"]),
     )  # fmt: skip

@@ -174,7 +174,7 @@ class Panel:
 
 
 @dataclass(frozen=True)
-class CurveFigure:
+class CurveDiagram:
     """All panels of one take; `top` is the cost at the upper edge, `tau_y` the height of τ in units."""
 
     take: TakeRow
@@ -187,14 +187,14 @@ class CurveFigure:
     thinned: bool
 
 
-def curve_figure(
+def curve_diagram(
     take: TakeRow,
     curves: Sequence[Curve],
     automatic: Sequence[TakeSegment],
     manual: Sequence[TakeSegment],
     slots: Mapping[str, int],
     tau: float | None,
-) -> CurveFigure:
+) -> CurveDiagram:
     """Lay out the distance curves of one take.
 
     Parameters
@@ -212,7 +212,7 @@ def curve_figure(
 
     Returns
     -------
-    CurveFigure
+    CurveDiagram
         The panels of classes with a segment or a minimum below τ, and the panels of the other classes, at one scale.
     """
     finite = [curve.costs[np.isfinite(curve.costs)] for curve in curves]
@@ -241,7 +241,7 @@ def curve_figure(
     quiet = tuple(p for p in panels if not (p.minima or p.automatic or p.manual))
     tau_y = HEIGHT * (1 - (tau or 0.0) / top)
     axis = time_axis(max(take.seconds, 1e-6))
-    return CurveFigure(take, telling, quiet, axis, top, tau, tau_y, take.frames > POINTS)
+    return CurveDiagram(take, telling, quiet, axis, top, tau, tau_y, take.frames > POINTS)
 
 
 def panel(
@@ -335,9 +335,9 @@ def minima(curve: Curve, top: float, rate_hz: float, tau: float) -> list[Minimum
     return marks
 
 
-def y_ticks(figure: CurveFigure) -> tuple[tuple[float, str], ...]:
+def y_ticks(diagram: CurveDiagram) -> tuple[tuple[float, str], ...]:
     """Return the texts of a panel's vertical axis: the upper edge, τ, 0."""
-    ticks = [(0.0, f"{figure.top:.2f}"), (100.0, "0")]
-    if figure.tau:
-        ticks.append((percent(figure.tau_y, HEIGHT), f"τ {figure.tau:g}"))
+    ticks = [(0.0, f"{diagram.top:.2f}"), (100.0, "0")]
+    if diagram.tau:
+        ticks.append((percent(diagram.tau_y, HEIGHT), f"τ {diagram.tau:g}"))
     return tuple(ticks)

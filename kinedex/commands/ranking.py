@@ -221,7 +221,7 @@ def show(
     from kinedex.console.terminal import make_console
     from kinedex.ops.templates.templates import NamedTemplate
     from kinedex.pipelines.templates.stored_templates import choose_template, write_template
-    from kinedex.reports.matrix_figures import template_figure, write_figure
+    from kinedex.reports.matrix_pictures import template_picture, write_matrices
     from kinedex.reports.template_text import template_heading, template_lines
 
     pages.check()
@@ -237,8 +237,8 @@ def show(
         )
     elif output is not None:
         note = template_heading(one, opened.rate_hz).split(": ", 1)[1]
-        figure = template_figure(one.learned.template, name, note, delta, opened.feature_set, opened.rate_hz)
-        write_figure(figure, output)
+        figure = template_picture(one.learned.template, name, note, delta, opened.feature_set, opened.rate_hz)
+        write_matrices(figure, output)
     if output is not None and not as_json:
         print_path(output)
     pages.write_template(opened, one, delta)
@@ -269,7 +269,7 @@ def diff(
     from kinedex.console.terminal import make_console
     from kinedex.ops.templates.derived_templates import contrast
     from kinedex.pipelines.templates.stored_templates import choose_template
-    from kinedex.reports.matrix_figures import contrast_figure, write_figure
+    from kinedex.reports.matrix_pictures import contrast_picture, write_matrices
     from kinedex.reports.template_text import contrast_lines
 
     opened = open_for_reading(store, at)
@@ -279,7 +279,7 @@ def diff(
     lines = list(contrast_lines(names, found, opened.feature_set, opened.rate_hz))
     if output is not None:
         about = (names, found, delta, lines[0], opened.feature_set, opened.rate_hz)
-        write_figure(contrast_figure(one, other, *about), output)
+        write_matrices(contrast_picture(one, other, *about), output)
     if as_json:
         print_json({"store": store, "classes": names, "kind": kind, "delta": delta, "lines": lines, "file": output})
     elif output is not None:

@@ -134,7 +134,7 @@ def _show(one: Explanation, unchanged: bool, explain: bool) -> None:
             print_message(f"{one.take}: no motion of the archive was found within tau")
     if unchanged:
         print_message(
-            f"{one.take}: up to date as {one.stabilised}; {counted(one.row['hits'], 'hit')} lent priors, joints "
+            f"{one.take}: up to date as {one.stabilised}; priors from {counted(one.row['hits'], 'hit')}, joints "
             f"moved by {one.moved_mm:.1f} mm on average"
         )
 

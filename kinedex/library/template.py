@@ -29,7 +29,7 @@ from kinedex.reports.template_text import contrast_lines, template_heading
 if TYPE_CHECKING:
     import polars as pl
 
-    from kinedex.reports.matrix_figures import MatrixFigure
+    from kinedex.reports.matrix_pictures import MatrixPicture
 
 
 Examples = Callable[[], Mapping[str, U64]]
@@ -298,11 +298,11 @@ class Template:
         >>> template.plot()
         Picture('squat')
         """
-        from kinedex.reports.matrix_figures import template_figure
+        from kinedex.reports.matrix_pictures import template_picture
 
         note = self.description.split(": ", 1)[-1]
         template = self.learned.learned.template
-        return Picture(template_figure(template, self.name, note, delta, self.feature_set, self.rate_hz))
+        return Picture(template_picture(template, self.name, note, delta, self.feature_set, self.rate_hz))
 
     def diff(self, other: Template, delta: float = 0.05) -> Difference:
         """Compare two templates, and return the features and times at which they contradict each other.
@@ -410,12 +410,12 @@ class Difference:
         >>> template.diff(Template.from_clip(take, name="other")).plot()
         Picture('squat and other')
         """
-        from kinedex.reports.matrix_figures import contrast_figure
+        from kinedex.reports.matrix_pictures import contrast_picture
 
         one, other = self._first.learned.learned.template, self._second.learned.learned.template
         note = str(self).splitlines()[0]
         features, rate_hz = self._first.feature_set, self._first.rate_hz
-        return Picture(contrast_figure(one, other, self.names, self._found, self._delta, note, features, rate_hz))
+        return Picture(contrast_picture(one, other, self.names, self._found, self._delta, note, features, rate_hz))
 
 
 def _common_features(takes: list[Take]) -> FeatureSet:
@@ -449,7 +449,7 @@ class Picture:
     True
     """
 
-    def __init__(self, figure: MatrixFigure) -> None:
+    def __init__(self, figure: MatrixPicture) -> None:
         self.title = figure.title
         self._figure = figure
 
@@ -472,7 +472,7 @@ class Picture:
         >>> "</svg>" in template.plot().svg()
         True
         """
-        from kinedex.reports.matrix_figures import draw
+        from kinedex.reports.matrix_pictures import draw
 
         return draw(self._figure, "svg").decode("utf-8")
 
@@ -495,6 +495,6 @@ class Picture:
         --------
         >>> template.plot().save(folder / "template.png")
         """
-        from kinedex.reports.matrix_figures import write_figure
+        from kinedex.reports.matrix_pictures import write_matrices
 
-        write_figure(self._figure, Path(path))
+        write_matrices(self._figure, Path(path))

@@ -145,7 +145,7 @@ def plausibility(positions: F64, joints: tuple[str, ...], rate_hz: float, valid:
     Returns
     -------
     Plausibility
-        The figures.
+        The measures.
     """
     counted = np.ones(positions.shape[2], np.bool_) if valid is None else valid
     if not counted.any():

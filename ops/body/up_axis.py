@@ -75,7 +75,7 @@ class UpAxis:
     confidence : float
         A number from 0 to 1, which grows with the lead of the best axis over the second.
     reasons : tuple of str
-        Phrases on posture, ground and rest pose, with their figures.
+        Phrases on posture, ground and rest pose, with numbers.
     """
 
     axis: str
@@ -250,7 +250,7 @@ class LeftRight:
         through the knees and the hips. It is below 0 if one of the pairs is exchanged, and NaN without shoulders and
         knees.
     reasons : tuple of str
-        Phrases with the figures.
+        Phrases with the numbers.
     """
 
     legs: float
@@ -275,7 +275,7 @@ def left_right(positions: Mapping[str, F64]) -> LeftRight:
     Returns
     -------
     LeftRight
-        The figures; NaN where joints are missing.
+        The measures; NaN where joints are missing.
     """
     if "lhip" not in positions or "rhip" not in positions:
         return LeftRight(float("nan"), float("nan"), ("no hips",))

@@ -243,7 +243,7 @@ def _range(one: Run, curve: LimbCurve) -> dict[str, Any]:
 
 
 @dataclass
-class ErrorFigures:
+class ErrorStatistics:
     """Sums over the evaluated frames of a limb.
 
     Attributes
@@ -276,23 +276,23 @@ class ErrorFigures:
 
 
 @dataclass(frozen=True)
-class StoredFigures:
+class StoredStatistics:
     """The error statistics that a stage has stored: those of each limb, and the τ of each take."""
 
-    limbs: dict[str, ErrorFigures]
+    limbs: dict[str, ErrorStatistics]
     taus: dict[int, float]
 
 
-def error_figures(store: Store, stage: str) -> StoredFigures:
+def error_statistics(store: Store, stage: str) -> StoredStatistics:
     """Return the error statistics of all takes that a stage has stored."""
-    found = StoredFigures({}, {})
+    found = StoredStatistics({}, {})
     parts = store.stage_parts(ERRORS, stage)
     for rows in store.result_pieces(ERRORS, parts, ["take_id", "limb", "degrees", "swing_deg", "valid", "tau_deg"]):
         for limb in pc.unique(rows.column("limb")).to_pylist():
             own = rows.filter(pc.equal(rows.column("limb"), limb))
             valid = own.filter(own.column("valid"))
             error = pc.coalesce(valid.column("degrees"), valid.column("swing_deg")).to_numpy()
-            found.limbs.setdefault(limb, ErrorFigures()).add(error, valid.column("tau_deg").to_numpy())
+            found.limbs.setdefault(limb, ErrorStatistics()).add(error, valid.column("tau_deg").to_numpy())
         taus = rows.group_by(["take_id"]).aggregate([("tau_deg", "min")])
         found.taus.update(zip(*(taus.column(name).to_pylist() for name in ("take_id", "tau_deg_min")), strict=True))
     return found

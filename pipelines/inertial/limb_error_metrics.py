@@ -122,11 +122,11 @@ def metric_rows(counts: LimbCounts, printed: PublishedResults | None) -> Iterato
     counts : LimbCounts
         The counts of all takes.
     printed : PublishedResults or None
-        Published figures for comparison.
+        Published results for comparison.
     """
     for (scope, annotator), several in sorted(counts.above.items()):
         for tau, one in zip(counts.taus, several, strict=True):
-            known = None if printed is None else printed.figure(scope[1], annotator, tau)
+            known = None if printed is None else printed.score(scope[1], annotator, tau)
             beside = {} if known is None or printed is None else {
                 "printed_p1": known.p1, "printed_r1": known.r1, "printed_source": printed.source,
             }  # fmt: skip

@@ -181,7 +181,7 @@ def limb_pieces(rows: pa.Table) -> Iterator[pa.Table]:
 
 
 @dataclass
-class LimbFigures:
+class LimbStatistics:
     """Statistics of the limbs that a stage has stored.
 
     Attributes
@@ -199,7 +199,7 @@ class LimbFigures:
     jumped: int
 
 
-def limb_figures(store: Store, stage: str) -> LimbFigures:
+def limb_statistics(store: Store, stage: str) -> LimbStatistics:
     """Return statistics of all limbs that a stage has stored."""
     parts = store.stage_parts(KIND, stage)
     limbs, columns = ["take_id", "limb", "basis"], ["take_id", "limb", "basis", "jump"]
@@ -212,7 +212,7 @@ def limb_figures(store: Store, stage: str) -> LimbFigures:
             frames[row["take_id"]] = max(frames.get(row["take_id"], 0), row["take_id_count_sum"])
             if row["jump_sum_sum"]:
                 jumped.add(row["take_id"])
-    return LimbFigures(bases, sum(frames.values()), len(jumped))
+    return LimbStatistics(bases, sum(frames.values()), len(jumped))
 
 
 def _columns(one: LimbMotion) -> dict[str, pa.Array]:

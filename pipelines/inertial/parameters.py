@@ -54,7 +54,7 @@ class EvaluateLimbErrorsParameters(StageParameters):
         list(TAUS), min_length=1, max_length=1000, description="the thresholds in degrees that are evaluated"
     )
     printed: Annotated[str | None, NamesFile("printed")] = Field(
-        None, description="a .yaml file of printed figures that stand beside ours, such as chapter7; none unless given"
+        None, description="a .yaml file of printed results to show beside ours, such as chapter7; none unless given"
     )
 
 

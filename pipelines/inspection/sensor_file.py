@@ -21,7 +21,7 @@ _TURNING_RAD_S = 0.1  # a sensor that turns more slowly shows mainly its noise
 
 @dataclass(frozen=True)
 class InspectedSensor:
-    """The figures of a sensor; those that its channels do not determine are None.
+    """The measurements of a sensor; those that its channels do not determine are None.
 
     Attributes
     ----------
@@ -55,7 +55,7 @@ class InspectedSensor:
     rests : tuple of (float, float)
         Intervals of a second or more at rest, as times in seconds.
     warnings : tuple of str
-        Warnings about implausible figures.
+        Warnings about implausible values.
     """
 
     sensor: str
@@ -76,7 +76,7 @@ class InspectedSensor:
     warnings: tuple[str, ...]
 
     def document(self) -> dict[str, Any]:
-        """Return the figures as a JSON object."""
+        """Return the measurements as a JSON object."""
         return asdict(self)
 
 
@@ -97,7 +97,7 @@ def inspect_sensor_file(
     Returns
     -------
     tuple of (Inspection, list of InspectedSensor)
-        The facts as text, and the figures of each sensor.
+        The facts as text, and the measurements of each sensor.
 
     Raises
     ------

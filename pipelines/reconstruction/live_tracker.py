@@ -90,7 +90,7 @@ def newest_database(store: Store) -> PoseDatabase:
     takes = listed_takes(store, "class IS NOT NULL", "")
     if not takes:
         raise KinedexError(
-            f"{store.path}: there is no pose database, and no take with a class that lends poses; "
+            f"{store.path}: there is no pose database, and no take with a class that provides poses; "
             f"`kinedex reconstruct {store.path} RECORDINGS --set pose_database.where=true` makes one of all takes"
         )
     return build_pose_database(store, takes, DISTANCE_M, None, lambda line: None)

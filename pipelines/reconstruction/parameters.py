@@ -20,7 +20,7 @@ class PoseDatabaseParameters(StageParameters):
 
     where: str = Field(
         "class IS NOT NULL",
-        description="takes that lend poses: a SQL filter over the columns of takes; takes made from depth lend none",
+        description="takes whose poses are used: a SQL filter over the columns of takes, without takes made from depth",
     )
     distance_m: float = Field(
         DISTANCE_M,
@@ -43,7 +43,7 @@ class ReconstructParameters(StageParameters):
     hypotheses: list[Hypothesis] = Field(
         ["local", "database"],
         min_length=1,
-        description="local: the pose before is followed; database: poses are looked up. Without database it lends "
+        description="local: the pose before is followed; database: poses are looked up. Without database it gives "
         "only the pose of a start; without local it is not compared with the pose before",
     )
     candidates: int = Field(3, ge=1, le=20, description="poses of the database that are tried in a frame")

@@ -246,15 +246,15 @@ def error_rows(found: Sequence[Comparison]) -> list[dict[str, Any]]:
     rows: list[dict[str, Any]] = []
     for one in found:
         own = {"take_id": one.row["take_id"], "take": one.row["take"], "reference": one.reference}
-        rows.append(own | _figures("take", "all", one.gaps, one.known) | {"rate_five_ends": _rate(one)})
+        rows.append(own | _statistics("take", "all", one.gaps, one.known) | {"rate_five_ends": _rate(one)})
         for j, name in enumerate(one.names):
             offset = one.offsets.get(name)
-            figures = _figures("joint", name, one.gaps[:, j : j + 1], one.known)
-            rows.append(own | figures | {"offset_m": None if offset is None else offset.tolist()})
+            statistics = _statistics("joint", name, one.gaps[:, j : j + 1], one.known)
+            rows.append(own | statistics | {"offset_m": None if offset is None else offset.tolist()})
     if found:
         frames = np.concatenate([_means(one.gaps) for one in found])[:, None]
         known = np.concatenate([one.known for one in found])
-        whole = _figures("all", "all", frames, known)
+        whole = _statistics("all", "all", frames, known)
         judged = [one for one in found if one.ends is not None]
         counts = [np.isfinite(one.gaps).any(axis=1).sum() for one in judged]
         rates = [_rate(one) or 0.0 for one in judged]
@@ -277,7 +277,7 @@ def _rate(one: Comparison) -> float | None:
     return None if one.ends is None or not seen.any() else float(one.ends[seen].mean())
 
 
-def _figures(scope: str, name: str, gaps: F64, known: Bool) -> dict[str, Any]:
+def _statistics(scope: str, name: str, gaps: F64, known: Bool) -> dict[str, Any]:
     """Return statistics of distances (T, J), by the mean of each frame."""
     means = _means(gaps)
     frames = means[np.isfinite(means)]

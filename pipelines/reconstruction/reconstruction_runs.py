@@ -148,7 +148,7 @@ def stored_database(store: Store, stage: str) -> PoseDatabase:
     if database is None or not len(database.directions):
         raise KinedexError(
             f"{store.path}: the pose database of {stage} has no pose; its parameter `where` selects the takes that "
-            "lend poses: --set pose_database.where=true takes all"
+            "provide poses: --set pose_database.where=true takes all"
         )
     return database
 
@@ -222,7 +222,7 @@ def _line(result: ReconstructionResult) -> str:
     parts = [
         f"{result.recording}: {counted(frames, 'frame')} as {result.take}",
         f"{result.bones.height_m:.2f} m tall ({result.bones.origin})",
-        f"the archive lent {lent / frames:.0%} of the poses",
+        f"{lent / frames:.0%} of the poses come from the archive",
     ]
     return ", ".join([*parts, *([f"{unseen} without a pose"] if unseen else [])])
 

@@ -107,11 +107,11 @@ def _table(rows: list[dict[str, Any]]) -> ResultTable:
     table = ResultTable(("limb", "takes", "below 15°", "median of these", "observability"))
     for limb in sorted({row["limb"] for row in rows}):
         own = [row for row in rows if row["limb"] == limb]
-        figures = [
+        numbers = [
             sorted(row[name] for row in own if row.get(name) is not None)
             for name in ("inliers", "median_deg", "observability")
         ]
-        middle = [values[len(values) // 2] if values else None for values in figures]
+        middle = [values[len(values) // 2] if values else None for values in numbers]
         texts = (
             "–" if value is None else form.format(value)
             for value, form in zip(middle, ("{:.0%}", "{:.1f}°", "{:.3f}"), strict=True)

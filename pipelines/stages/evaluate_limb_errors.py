@@ -173,8 +173,8 @@ def _table(rows: list[dict[str, Any]]) -> ResultTable:
             wanted[(*key[:2], f"{key[2]}, τ as printed")] = row
     for key, row in wanted.items():
         tau = "–" if row.get("tau_deg") is None else f"{row['tau_deg']:g}°"
-        figures = ("–" if row[name] is None else f"{row[name]:.2f}" for name in ("p1", "r1", "f1", "f2"))
+        numbers = ("–" if row[name] is None else f"{row[name]:.2f}" for name in ("p1", "r1", "f1", "f2"))
         known = row.get("printed_p1") is not None
         beside = f"{row['printed_p1']:.2f} / {row['printed_r1']:.2f}" if known else ""
-        table.add(*key, tau, *figures, *((beside,) if printed else ()))
+        table.add(*key, tau, *numbers, *((beside,) if printed else ()))
     return table

@@ -17,7 +17,7 @@ from kinedex.pipelines.tracking.tracked_takes import (
     STABILISED,
     TRACKED,
     poses_of,
-    sensor_error_figures,
+    sensor_error_statistics,
     track_errors,
     truth_reference,
 )
@@ -70,7 +70,7 @@ class EvaluateTrack(Stage[TruthParameters]):
                 rows += track_errors(row, poses_of(store, stage, int(str(row["take_id"]))), reference)
         judged: list[dict[str, Any]] = []
         if "errors" in context.inputs:
-            judged = sensor_error_figures(store, context.key(context.inputs["errors"]), tracked)
+            judged = sensor_error_statistics(store, context.key(context.inputs["errors"]), tracked)
         context.put_results(track_metrics=result_table("track_metrics", [*rows, *judged], context.run))
         takes = [row for row in rows if row["scope"] == "take"]
         if takes:
@@ -104,9 +104,9 @@ def _table(rows: list[dict[str, Any]]) -> ResultTable:
     parts = {(row["take"], row["name"]): row["mean_mm"] for row in rows if row["scope"] == "part"}
     for row in sorted(rows, key=lambda row: (_subject(row["take"]), -row["take"].endswith(TRACKED))):
         if row["scope"] == "take":
-            figures = [row["mean_mm"], row["sd_mm"], row["max_mm"]]
-            figures += [parts.get((row["take"], name)) for name in ("in failures", "elsewhere")]
-            texts = ["–" if one is None else f"{one:.1f}" for one in figures]
+            numbers = [row["mean_mm"], row["sd_mm"], row["max_mm"]]
+            numbers += [parts.get((row["take"], name)) for name in ("in failures", "elsewhere")]
+            texts = ["–" if one is None else f"{one:.1f}" for one in numbers]
             table.add(row["take"], *texts)
     return table
 

@@ -16,8 +16,8 @@ from kinedex.pipelines.engine.stage import Input, Stage
 from kinedex.pipelines.inertial.limb_error_curves import (
     ERRORS,
     RUNS,
-    ErrorFigures,
-    error_figures,
+    ErrorStatistics,
+    error_statistics,
     error_table,
     run_rows,
     take_errors,
@@ -74,15 +74,15 @@ class LimbErrors(Stage[LimbErrorsParameters]):
             run_tables = take_tables(RUNS, runs, reuse.fresh, run)
             writer.put_results(RUNS, reuse.rows(RUNS, run_tables), stage=key, run=run)
             writer.commit()
-        figures = _report(context)
+        statistics = _report(context)
         reuse.report("not compared")
-        return figures | {"unchanged": reuse.unchanged}
+        return statistics | {"unchanged": reuse.unchanged}
 
 
 def _report(context: StageContext) -> dict[str, object]:
     """Show the error statistics of all stored takes, and return those for the record of the stage."""
     store, stage = context.open(), context.key()
-    found = error_figures(store, stage)
+    found = error_statistics(store, stage)
     if found.limbs:
         context.terminal.show(_table(found.limbs))
     kinds = Counter(row["kind"] for row in store.result(RUNS, stage=stage).select(["kind"]).to_pylist())
@@ -94,9 +94,9 @@ def _report(context: StageContext) -> dict[str, object]:
     return {"takes": len(found.taus), "frames": frames, "runs": wrong, "jumps": jumps}
 
 
-def _table(figures: Mapping[str, ErrorFigures]) -> ResultTable:
+def _table(statistics: Mapping[str, ErrorStatistics]) -> ResultTable:
     """Return a table with a row for each limb: its number of frames, errors, and the fraction of frames above τ."""
     table = ResultTable(("limb", "frames", "mean", "sd", "above τ"))
-    for limb in sorted(figures):
-        table.add(limb, f"{figures[limb].frames:,}", *figures[limb].texts())
+    for limb in sorted(statistics):
+        table.add(limb, f"{statistics[limb].frames:,}", *statistics[limb].texts())
     return table

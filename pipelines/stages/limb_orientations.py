@@ -13,7 +13,7 @@ from kinedex.ops.wording import counted
 from kinedex.pipelines.engine.context import StageContext
 from kinedex.pipelines.engine.digests import Reading
 from kinedex.pipelines.engine.stage import Input, Stage
-from kinedex.pipelines.inertial.limb_motion import KIND, LimbFigures, limb_figures, limb_pieces, limb_table
+from kinedex.pipelines.inertial.limb_motion import KIND, LimbStatistics, limb_pieces, limb_statistics, limb_table
 from kinedex.pipelines.inertial.parameters import LimbOrientationsParameters
 from kinedex.pipelines.inertial.source_limbs import (
     limb_fingerprints,
@@ -67,12 +67,12 @@ class LimbOrientations(Stage[LimbOrientationsParameters]):
                     yield limb_table(task.take_id, task.take, found.limbs, context.run, prints[task.take_id])
 
         reuse.put(KIND, tables(), limb_pieces)
-        figures = limb_figures(context.open(), context.key())
-        _show(context, len(takes), figures, lacking)
+        statistics = limb_statistics(context.open(), context.key())
+        _show(context, len(takes), statistics, lacking)
         reuse.report("not read")
         return {
-            "takes": len(takes), "unchanged": reuse.unchanged, "frames": figures.frames, "limbs": dict(figures.bases),
-            "jumped": figures.jumped, "remarks": remarks,
+            "takes": len(takes), "unchanged": reuse.unchanged, "frames": statistics.frames,
+            "limbs": dict(statistics.bases), "jumped": statistics.jumped, "remarks": remarks,
         }  # fmt: skip
 
 
@@ -90,12 +90,12 @@ def _takes(context: StageContext, store: Store, where: str | None) -> list[str]:
     return [take for take in takes if take in worn]
 
 
-def _show(context: StageContext, takes: int, figures: LimbFigures, lacking: Counter[str]) -> None:
+def _show(context: StageContext, takes: int, statistics: LimbStatistics, lacking: Counter[str]) -> None:
     """Show statistics of all limbs, and the limbs that are missing in the takes that were read."""
-    shares = ", ".join(f"{count} {basis}" for basis, count in figures.bases.most_common()) or "none"
-    context.message(f"{counted(takes, 'take')}, {counted(figures.frames, 'source frame')}; bases of limbs: {shares}")
+    shares = ", ".join(f"{count} {basis}" for basis, count in statistics.bases.most_common()) or "none"
+    context.message(f"{counted(takes, 'take')}, {counted(statistics.frames, 'source frame')}; bases of limbs: {shares}")
     for what, count in lacking.most_common():
         context.message(f"not known in {counted(count, 'take')}: {what}")
-    if figures.jumped:
+    if statistics.jumped:
         what = "with turns faster than 2,500 degrees a second, marked as jumps"
-        context.message(f"{counted(figures.jumped, 'take')} {what}")
+        context.message(f"{counted(statistics.jumped, 'take')} {what}")

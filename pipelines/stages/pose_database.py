@@ -58,5 +58,5 @@ class BuildPoseDatabase(Stage[PoseDatabaseParameters]):
             f"{megabytes:.1f} MB; {counted(made.read, 'take')} read"
         )
         if lacking:
-            context.message(f"warning: {counted(len(lacking), 'take')} without all named joints lend no pose")
+            context.message(f"warning: {counted(len(lacking), 'take')} without all named joints provide no pose")
         return {"takes": len(takes), "frames": frames, "poses": poses, "read": made.read, "lacking": len(lacking)}

@@ -86,9 +86,9 @@ def _table(rows: list[dict[str, Any]]) -> ResultTable:
     columns = ("take", "recording", "offset s", "ppm", "correlation", "next best")
     table = ResultTable(columns, texts=frozenset({0, 1}))
     for row in rows[:_SHOWN]:
-        figures = ("–" if row[name] is None else f"{row[name]:.2f}" for name in ("correlation", "next_best"))
+        numbers = ("–" if row[name] is None else f"{row[name]:.2f}" for name in ("correlation", "next_best"))
         offset = (_fixed(row["offset_s"], 4), _fixed(row["ppm"], 0))
-        table.add(row["take"], row["recording"], *offset, *figures)
+        table.add(row["take"], row["recording"], *offset, *numbers)
     if len(rows) > _SHOWN:
         table.caption = f"and {len(rows) - _SHOWN} more in the view {SYNC}"
     return table

@@ -130,7 +130,7 @@ class ChainTracker:
 
 
 @dataclass(frozen=True, eq=False)
-class FrameFigures:
+class FrameStatistics:
     """Statistics of the frames of a track.
 
     Attributes
@@ -151,16 +151,16 @@ class FrameFigures:
     contested: I64
 
 
-def frame_figures(tracker: ChainTracker, poses: Poses) -> FrameFigures:
+def frame_statistics(tracker: ChainTracker, poses: Poses) -> FrameStatistics:
     """Return statistics of the frames of a track."""
     observed, frames = tracker.observed, tracker.observed.frames
     found = tracker.trust(poses)
     if found is None:
-        return FrameFigures(None, None, np.ones(frames), np.zeros(frames, np.int64))
+        return FrameStatistics(None, None, np.ones(frames), np.zeros(frames, np.int64))
     trusted, contested = (found.keypoints > SEEN).mean(axis=1), found.contested.sum(axis=1)
     if not isinstance(observed.observations, Rays):
-        return FrameFigures(None, None, trusted, contested)
+        return FrameStatistics(None, None, trusted, contested)
     residuals = ray_residuals(observed, poses, tracker.settings.sigma_px)
     seen = np.isfinite(residuals.pixels)
     agreeing = (residuals.weights >= AGREEING).sum(axis=1).sum(axis=1) / np.maximum(seen.any(axis=1).sum(axis=1), 1)
-    return FrameFigures(seen.any(axis=2).sum(axis=1), agreeing, trusted, contested)
+    return FrameStatistics(seen.any(axis=2).sum(axis=1), agreeing, trusted, contested)

@@ -23,7 +23,7 @@ from kinedex.ops.priors.allocation import PriorRow
 from kinedex.ops.tracking.observations import Rays
 from kinedex.ops.tracking.ray_residuals import ray_residuals
 from kinedex.pipelines.inertial.limb_error_curves import judged_limbs
-from kinedex.pipelines.tracking.chain_tracker import ChainTracker, frame_figures
+from kinedex.pipelines.tracking.chain_tracker import ChainTracker, frame_statistics
 from kinedex.pipelines.tracking.recorded_takes import Provenance, TruePositions, at_rate, read_truth
 from kinedex.storage.formats.motion.reader import Body
 from kinedex.storage.snapshot.schemas import TRACK_FORMAT, result_schema, result_table
@@ -237,15 +237,15 @@ class TrackResult:
         return {"source_frame": np.arange(frames), "place": _lists(self.poses.positions), "turns": _lists(rotations)}
 
     def _frames(self) -> dict[str, Any]:
-        frames, figures = len(self.poses.positions), frame_figures(self.tracker, self.poses)
+        frames, statistics = len(self.poses.positions), frame_statistics(self.tracker, self.poses)
         unknown = [None] * frames
         return {
             "source_frame": np.arange(frames),
             "cost": self.costs,
-            "cameras": unknown if figures.cameras is None else figures.cameras,
-            "agreeing": unknown if figures.agreeing is None else figures.agreeing,
-            "trusted": figures.trusted,
-            "contested": figures.contested,
+            "cameras": unknown if statistics.cameras is None else statistics.cameras,
+            "agreeing": unknown if statistics.agreeing is None else statistics.agreeing,
+            "trusted": statistics.trusted,
+            "contested": statistics.contested,
             "lost": np.zeros(frames, np.bool_) if self.lost is None else self.lost,
             "moved_mm": unknown if self.moved_mm is None else _lists(self.moved_mm),
         }
@@ -377,22 +377,22 @@ def track_errors(row: dict[str, Any], poses: pa.Table, reference: TruePositions)
     gaps = 1000.0 * np.linalg.norm(own[order, :, :frames] - known[order, :, :frames], axis=1)
     if not np.isfinite(gaps).any():
         raise KinedexError(f"{row['take']}: no joint of the limbs is known to '{reference.name}' in any common frame")
-    rows = [_distance_figures("take", "all", gaps)]
-    rows += [_distance_figures("joint", name, gaps[j : j + 1]) for j, name in enumerate(LIMBS)]
+    rows = [_distance_statistics("take", "all", gaps)]
+    rows += [_distance_statistics("joint", name, gaps[j : j + 1]) for j, name in enumerate(LIMBS)]
     if reference.failures:
         failing = np.zeros(frames, np.bool_)
         for start, stop in reference.failures:
             share = row["rate_hz"] / reference.rate_hz
             failing[round(start * share) : round(stop * share)] = True
         rows += [
-            _distance_figures("part", "in failures", gaps[:, failing]),
-            _distance_figures("part", "elsewhere", gaps[:, ~failing]),
+            _distance_statistics("part", "in failures", gaps[:, failing]),
+            _distance_statistics("part", "elsewhere", gaps[:, ~failing]),
         ]
     named = {"take_id": row["take_id"], "take": row["take"], "reference": reference.name}
     return [named | one for one in rows if one["frames"]]
 
 
-def _distance_figures(scope: str, name: str, gaps: F64) -> dict[str, Any]:
+def _distance_statistics(scope: str, name: str, gaps: F64) -> dict[str, Any]:
     """Return statistics of distances (J, T) in millimetres, without unknown joints."""
     seen = np.isfinite(gaps)
     count = seen.sum(axis=0)
@@ -415,7 +415,7 @@ def poses_of(store: Store, stage: str, take_id: int) -> pa.Table:
     return found.take(pc.sort_indices(found, [("source_frame", "ascending")]))
 
 
-def sensor_error_figures(store: Store, stage: str, take_ids: Collection[int]) -> list[dict[str, Any]]:
+def sensor_error_statistics(store: Store, stage: str, take_ids: Collection[int]) -> list[dict[str, Any]]:
     """Return error statistics of takes against sensors: for all limbs of a take together, then for each limb.
 
     Parameters
@@ -433,12 +433,12 @@ def sensor_error_figures(store: Store, stage: str, take_ids: Collection[int]) ->
         if not own:
             continue
         named = {"take_id": limbs[0].take_id, "take": limbs[0].take, "reference": SENSORS}
-        rows.append(named | _angle_figures(SENSORS, "all", np.concatenate([error for _, error in own])))
-        rows += [named | _angle_figures(LIMB, limb, error) for limb, error in own]
+        rows.append(named | _angle_statistics(SENSORS, "all", np.concatenate([error for _, error in own])))
+        rows += [named | _angle_statistics(LIMB, limb, error) for limb, error in own]
     return rows
 
 
-def _angle_figures(scope: str, name: str, error: F64) -> dict[str, Any]:
+def _angle_statistics(scope: str, name: str, error: F64) -> dict[str, Any]:
     return {
         "scope": scope,
         "name": name,

@@ -367,7 +367,7 @@ def store_archive(store: Store, params: StabiliseParameters, executor: Executor)
     except KinedexError:
         if not found:
             raise KinedexError(
-                f"{store.path} has neither templates nor takes whose class is known, so that nothing can lend priors; "
+                f"{store.path} has neither templates nor takes whose class is known, so that nothing provides priors; "
                 "ingest example clips with a pattern that names their class, as in: kinedex ingest "
                 f"{shlex.quote(str(store.path))} CLIPS --set \"ingest.patterns=['(?P<class>[^/]+)/']\". Without an "
                 "archive, `kinedex track` smooths a take and fills its gaps: a recordings file with `track: TAKE`"

@@ -18,7 +18,7 @@ from kinedex.ops.templates.warping import align
 from kinedex.ops.words import NO_WORD, U64
 from kinedex.pipelines.templates.stored_clips import clips_of
 from kinedex.pipelines.templates.template_learning import SubclassTemplate
-from kinedex.reports.matrix_figures import row_names, set_rules, soft_colours
+from kinedex.reports.matrix_pictures import row_names, set_rules, soft_colours
 from kinedex.reports.motion_pages import FIGURES
 from kinedex.reports.motion_pages.motion_page import Clip, Group, MotionPage, Place, write_motion_page
 from kinedex.reports.template_text import template_heading

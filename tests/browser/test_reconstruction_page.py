@@ -43,7 +43,7 @@ def test_a_click_on_a_lent_interval_plays_it_without_rays(browser: Browser, repo
         lent = page.locator("rect.lent").first
         assert ", frame " in (lent.locator("title").text_content() or "")
         lent.click()
-        expect(page.locator("#player .title")).to_contain_text("_reconstructed · archive lent", timeout=WAIT_MS)
+        expect(page.locator("#player .title")).to_contain_text("· pose from the archive", timeout=WAIT_MS)
         assert is_drawn(page, "#player canvas")
         expect(page.locator("#player .rays")).to_be_hidden()
 

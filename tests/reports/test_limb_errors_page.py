@@ -15,7 +15,7 @@ from kinedex.ops.inertial.rotations import Z_TO_Y
 from kinedex.pipelines.engine.config import load_pipeline
 from kinedex.pipelines.inertial.limb_motion import limb_table, struct_array
 from kinedex.pipelines.stages.ingest import Ingest
-from kinedex.reports.limb_error_figures import agreement_chart, box, curve_path, drift_curve, error_top, mapping_curves
+from kinedex.reports.limb_error_diagrams import agreement_chart, box, curve_path, drift_curve, error_top, mapping_curves
 from kinedex.reports.stages.report_limb_errors import ReportLimbErrors
 from kinedex.storage.snapshot.schemas import result_schema
 from kinedex.storage.store.store import open_store

@@ -9,7 +9,7 @@ from kinedex.ops.evaluation.metrics import Counts
 from kinedex.ops.intervals import TakeSegment
 from kinedex.pipelines.evaluation.comparison_results import Threshold
 from kinedex.pipelines.evaluation.folds import TestTake
-from kinedex.reports.method_figures import STRIP_WIDTHS, bare_part, strips, sweeps, width_for_number
+from kinedex.reports.method_diagrams import STRIP_WIDTHS, bare_part, strips, sweeps, width_for_number
 
 SPAN = st.tuples(st.integers(0, 20), st.integers(1, 20)).map(lambda two: (two[0], two[0] + two[1]))
 

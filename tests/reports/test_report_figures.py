@@ -15,7 +15,7 @@ from kinedex.reports.pixels import SCALE, quantised_image, soft_image, wildcard_
 from kinedex.reports.plots import time_axis
 from kinedex.reports.report_data import Curve, Score, TakeRow
 from kinedex.reports.take_selection import choose_takes, median_take, worst_middle_best
-from kinedex.reports.timelines import HEIGHT, POINTS, curve_figure, line, minima, thinned_frames, timeline
+from kinedex.reports.timelines import HEIGHT, POINTS, curve_diagram, line, minima, thinned_frames, timeline
 from tests.pipelines.study import FRAMES, study
 
 
@@ -124,7 +124,7 @@ def test_classes_without_segments_and_minima_are_put_aside() -> None:
     data = study()
     curves = [*data.curves, Curve("jump", "jump", np.full(FRAMES, 0.4)), Curve("rest", "rest", np.full(FRAMES, np.inf))]
     slots = {"jump": 0, "kick": 1, "rest": 2, "squat": 3}
-    figure = curve_figure(data.takes[0], curves, data.automatic[:2], data.manual[:1], slots, 0.13)
+    figure = curve_diagram(data.takes[0], curves, data.automatic[:2], data.manual[:1], slots, 0.13)
     assert [panel.label for panel in figure.panels] == ["kick", "squat"]
     assert [panel.label for panel in figure.quiet] == ["jump", "rest"]
     assert figure.quiet[1].lowest is None

@@ -8,7 +8,7 @@ import pytest
 
 from kinedex.ops.intervals import TakeSegment
 from kinedex.reports.annotation_page import annotation_page
-from kinedex.reports.reliability import SIDE, reliability_figure
+from kinedex.reports.reliability import SIDE, reliability_diagram
 from tests.pipelines.study import study
 
 
@@ -22,7 +22,7 @@ def test_bars_are_as_high_as_shares_of_right_segments() -> None:
         TakeSegment(take, "kick", 22, 30, 0.1, "kick", 0.3),
         TakeSegment(take, "kick", 22, 30, 0.1, "kick", None),
     )
-    figure = reliability_figure(replace(data, automatic=automatic, manual=manual))
+    figure = reliability_diagram(replace(data, automatic=automatic, manual=manual))
     assert figure is not None
     assert (figure.segments, figure.right, figure.auroc) == (3, 2, 0.0)
     low, high = figure.bars
@@ -33,7 +33,7 @@ def test_bars_are_as_high_as_shares_of_right_segments() -> None:
 
 def test_without_ground_truth_there_is_no_diagram() -> None:
     data = study()
-    assert reliability_figure(replace(data, manual=())) is None
+    assert reliability_diagram(replace(data, manual=())) is None
     assert 'id="reliability"' not in annotation_page(replace(data, manual=()))
 
 
