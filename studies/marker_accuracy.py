@@ -4,7 +4,8 @@ DATA is a folder with `c3d` and `wild`. The first table has the joints of files 
 of Vicon's Plug-in Gait: these are hidden, the body is read from the markers, and each joint is compared with its
 centre. The second table has files with markers on both sides of knees, ankles or elbows, read without the inner ones
 and compared with the middle of both. The third places hip centres by several regressions, and compares them with those
-of Plug-in Gait. Distances are in cm, their mean and the largest of 95 % of the frames.
+of Plug-in Gait. The fourth compares markers with the bodies of OpenSim in the same trial, whose origins are joints in
+its model. Distances are in cm, their mean and the largest of 95 % of the frames.
 """
 
 from __future__ import annotations
@@ -27,7 +28,7 @@ from kinedex.ops.errors import KinedexError
 from kinedex.storage.formats.motion.c3d import C3dReader, parse_c3d
 from kinedex.storage.formats.motion.points import Points, PointsReader, body_of_points, evidence_of
 from kinedex.storage.formats.motion.reader import DEFAULT_SETTINGS, Body, MotionFile
-from kinedex.storage.formats.motion.reader_table import reader_of
+from kinedex.storage.formats.motion.reader_table import read_body, reader_of
 from kinedex.storage.formats.motion.subjects import points_of_person
 from studies.point_mutations import COMPUTED
 
@@ -44,6 +45,9 @@ CENTRES = {
 
 INNER = {"knee": "kneemed", "ankle": "anklemed", "elbow": "elbowmed"}
 """Joints that lie amid two markers, each with the landmark of its inner one."""
+
+OPENSIM = ("wild/Pose2Sim_Blender/Moco_markers.trc", "wild/Pose2Sim_Blender/Moco_motion.csv")
+"""The markers and the bodies of a trial of OpenSim."""
 
 Distances = dict[str, F64]
 
@@ -154,6 +158,18 @@ def hip_errors(points: Points) -> dict[str, float]:
     return {way: float(np.mean(errors)) for way, errors in found.items()}
 
 
+def distances_to_opensim(markers: Path, bodies: Path) -> Distances:
+    """Return the distances in cm between joints from markers and those of OpenSim's bodies, whose times are fewer."""
+    ours, theirs = (read_body(path, None, MAPPINGS, JOINTS) for path in (markers, bodies))
+    times = np.arange(theirs.frames) / theirs.rate_hz
+    own = np.arange(ours.frames) / ours.rate_hz
+    found = {}
+    for joint in CENTRES:
+        track = np.stack([np.interp(times, own, row) for row in ours.positions[JOINTS.index(joint)]])
+        found[joint] = 100 * np.linalg.norm(track - theirs.positions[JOINTS.index(joint)], axis=0)[times <= own[-1]]
+    return found
+
+
 def _show(console: Console, title: str, rows: list[tuple[str, str, Distances]]) -> None:
     """Print the distances by joint and file, left and right together, and those over all files."""
     table = Table("joint", "file", "read by", "mean, cm", "95 %, cm", "frames", title=title)
@@ -191,6 +207,10 @@ def main() -> None:
     _show(console, "From markers alone, against Plug-in Gait", by_model)
     _show(console, "Without the inner marker, against the middle of both", by_middle)
     console.print(hips)
+    markers, bodies = (parser.parse_args().data / name for name in OPENSIM)
+    if markers.is_file() and bodies.is_file():
+        rows = [(markers.name, "recognised markers", distances_to_opensim(markers, bodies))]
+        _show(console, "From markers, against OpenSim's bodies", rows)
 
 
 if __name__ == "__main__":
