@@ -15,6 +15,7 @@ from starlette.requests import Request
 
 from kinedex.explorer.answers import command_line, equivalent_query
 from kinedex.explorer.endpoints import RequestBody, get, post
+from kinedex.explorer.named_files import PATIENCE
 from kinedex.explorer.open_archive import Archive
 from kinedex.explorer.selections import SQL_SECONDS
 from kinedex.storage.duckdb_sql import quote
@@ -70,7 +71,7 @@ def accept(archive: Archive, asked: AcceptRequest, _request: Request) -> dict[st
     """Accept the doubts of one cause, or take their acceptance back."""
     store = open_store(archive.path)
     doubts = chosen_doubts(store, asked.takes, asked.condition)
-    with StoreWriter.open(store.path, store.feature_set, store.rate_hz) as writer:
+    with StoreWriter.open(store.path, store.feature_set, store.rate_hz, PATIENCE) as writer:
         changed = accept_doubts(writer, doubts, revoke=asked.revoke)
         writer.commit()
     archive.state(look=True)

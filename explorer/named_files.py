@@ -17,7 +17,7 @@ from __future__ import annotations
 
 import math
 import re
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path, PurePosixPath
 from typing import Annotated, Any
 
@@ -46,10 +46,13 @@ from kinedex.pipelines.ingestion.parameters import IngestParameters, stored_file
 from kinedex.pipelines.inspection.feature_shares import feature_shares
 from kinedex.pipelines.inspection.mapping_proposal import proposed_text
 from kinedex.storage.formats.motion.file_nodes import FileNodes, read_file_nodes
-from kinedex.storage.formats.motion.packed_files import container_of
-from kinedex.storage.formats.motion.reader import Body
+from kinedex.storage.formats.motion.packed_files import container_of, split_ending
+from kinedex.storage.formats.motion.reader import Body, MotionFile
+from kinedex.storage.formats.motion.reader_table import persons_of
 from kinedex.storage.formats.motion.sources import scan
+from kinedex.storage.formats.motion.unpacked_files import unpacked
 from kinedex.storage.formats.source_files import stamp_of
+from kinedex.storage.lock import Wait
 from kinedex.storage.store.store import Store, open_store
 from kinedex.storage.store.writer import StoreWriter
 
@@ -59,8 +62,14 @@ MAX_AROUND = 100
 MAX_NODES = 1000
 """Maximum number of nodes of a file that can be named on the page."""
 
+_PERSONS: Cache[tuple[object, ...], tuple[str, ...]] = Cache(64)
+"""The persons of the files that were shown last."""
+
 _KEPT: Cache[tuple[object, ...], FileNodes] = Cache(4)
 """The nodes of the files that were read last."""
+
+PATIENCE = Wait(30.0)
+"""The time to wait for a job that writes to the store."""
 
 _NAME = r"^\w[\w .()+-]*$"
 
@@ -89,7 +98,8 @@ class MappingRequest(NodesRequest):
     @property
     def only(self) -> str | None:
         """The key `only` of the mapping."""
-        return f"^{re.escape(PurePosixPath(self.file.source).name)}$" if self.only_this else None
+        # a reader gets a packed file by its name without the ending of the packing
+        return f"^{re.escape(''.join(split_ending(PurePosixPath(self.file.source).name)))}$" if self.only_this else None
 
 
 @dataclass(frozen=True)
@@ -146,17 +156,27 @@ def _read(file: _File, mappings: Mappings) -> FileNodes:
     return read_file_nodes(file.path, mappings, file.person, root, given, _skeleton(file))
 
 
+def _state(store: Store, file: _File) -> tuple[object, ...]:
+    """Return what the nodes of a file depend on: the file and its content, and the mappings of the store."""
+    stamp = stamp_of(container_of(file.path) or file.path)
+    return file.path, file.person, stamp, str(store.path), store.manifest.version
+
+
+def _persons(store: Store, file: _File, mappings: Mappings) -> tuple[str, ...]:
+    """Return the persons of a file of several."""
+    key = _state(store, file)
+    kept = _PERSONS.get(key)
+    if kept is not None:
+        return kept
+    with unpacked(file.path) as copy:
+        return _PERSONS.put(key, persons_of(MotionFile(copy.path), mappings))
+
+
 def _nodes_of(store: Store, file: _File, mappings: Mappings) -> FileNodes:
     """Return the nodes of a file, which are kept for the next request until the file or the store changes."""
-    key = (
-        file.path,
-        file.person,
-        stamp_of(container_of(file.path) or file.path),
-        str(store.path),
-        store.manifest.version,
-    )
+    key = _state(store, file)
     kept = _KEPT.get(key)
-    return kept if kept is not None else _KEPT.put(key, _read(file, mappings))
+    return kept if kept is not None else _KEPT.put(key, replace(_read(file, mappings), body=None))
 
 
 def nodes(archive: Archive, asked: NodesRequest, _request: Request) -> dict[str, Any]:
@@ -164,6 +184,9 @@ def nodes(archive: Archive, asked: NodesRequest, _request: Request) -> dict[str,
     store = archive.store()
     file = _known_file(store, asked.file)
     mappings = _mappings(store, file.params)
+    persons = _persons(store, file, mappings) if file.path.suffix.lower() != ".amc" else ()
+    if persons and not file.person:
+        file = replace(file, person=persons[0])
     found = _nodes_of(store, file, mappings)
     fit = named_fit(found.asked, mappings, asked.named) if asked.named else guessed_fit(found.asked, mappings)
     guesses = node_guesses(found.asked, mappings, fit, asked.named)
@@ -179,6 +202,8 @@ def nodes(archive: Archive, asked: NodesRequest, _request: Request) -> dict[str,
         "parents": evidence.parents if evidence is not None and is_tree(found.asked) else None,
         "frames": _frames(evidence.positions) if evidence is not None else [],
         "up": fit.up if fit is not None else "y",
+        "persons": persons,
+        "person": file.person,
         "refused": None if found.fault is None else found.fault.reason,
         "proposed_name": stem[:100],
         "command": command_line("kinedex", "mapping", "nodes", file.path, *_person(file)),
@@ -322,7 +347,7 @@ def keep(archive: Archive, asked: MappingRequest, _request: Request) -> dict[str
     text = _proposal(store, file, asked)
     # a mapping that cannot be read would end every later ingest
     _mappings(store, file.params, OwnFile(Path(f"{asked.name}.yaml"), text))
-    with StoreWriter.open(store.path, store.feature_set, store.rate_hz) as writer:
+    with StoreWriter.open(store.path, store.feature_set, store.rate_hz, PATIENCE) as writer:
         replaced = asked.name in writer.manifest.mappings
         writer.put_mapping(asked.name, text)
         writer.commit()

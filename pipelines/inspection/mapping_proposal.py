@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
@@ -12,7 +13,7 @@ from kinedex.catalog.skeletons.mappings import MappingRequest, Mappings, load_ma
 from kinedex.catalog.skeletons.named_nodes import named_fit
 from kinedex.catalog.skeletons.recognition.proposal import mapping_yaml
 from kinedex.catalog.skeletons.skeleton_fit import Fit, Mix
-from kinedex.ops.errors import SourceError
+from kinedex.ops.errors import KinedexError, SourceError
 from kinedex.storage.formats.motion.file_nodes import FileNodes, read_file_nodes
 from kinedex.storage.formats.motion.reader import DEFAULT_SETTINGS, ReadSettings
 
@@ -65,12 +66,22 @@ def proposed_text(
     only: str | None,
 ) -> str:
     """Return a mapping for the nodes of a motion file as YAML; parameters as for `propose_mapping`."""
-    head = _comment(file, person, nodes.fault)
-    if named or only:
-        return head + mapping_yaml(
-            _of_nodes(named_fit(nodes.asked, mappings, named or {}), nodes.asked.nodes), name, only
-        )
-    return head + _proposal(nodes.asked, mappings, name)
+    if named:
+        text = mapping_yaml(_of_nodes(named_fit(nodes.asked, mappings, named), nodes.asked.nodes), name)
+    else:
+        text = _proposal(nodes.asked, mappings, name)
+    return _comment(file, person, nodes.fault) + (text if only is None else _limited(text, only))
+
+
+def _limited(text: str, only: str) -> str:
+    """Return the text of a mapping for files in whose names a regular expression is found."""
+    try:
+        re.compile(only)
+    except re.error as fault:
+        raise KinedexError(f"--only {only}: is no regular expression: {fault}") from None
+    lines = [line for line in text.splitlines() if not line.startswith("only:")]
+    begin = next((i for i, line in enumerate(lines, 1) if line.startswith("name:")), 0)
+    return "\n".join([*lines[:begin], f"only: {scalar(only)}", *lines[begin:], ""])
 
 
 def _proposal(asked: MappingRequest, mappings: Mappings, name: str) -> str:

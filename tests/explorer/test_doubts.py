@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gzip
 import shlex
 import time
 from pathlib import Path
@@ -156,6 +157,32 @@ def test_the_commands_that_are_shown_do_the_same(client: TestClient, trials: Pat
     store = open_store(trials)
     assert store.manifest.mappings == {"mine": found["yaml"]}
     assert store.sql("SELECT skeleton FROM takes WHERE name = 'one'").to_pylist() == [{"skeleton": "mine"}]
+
+
+def test_the_persons_of_a_file_are_shown_one_by_one(connect: Connect, trials: Path) -> None:
+    source = trials.parent / "trials"
+    labels = [f"{person}:{label}" for person in ("Ann", "Bob") for label in LABELS]
+    write_c3d(source / "pair.c3d", np.concatenate([POINTS, POINTS + 900.0]), tuple(labels))
+    kinedex("ingest", trials, source, "--executor", "serial")
+    client = connect(trials)
+    found = ask(client, "/api/files/nodes", {"file": file_of(trials, "pair.c3d")})
+    assert (found["persons"], found["person"]) == (["Ann", "Bob"], "Ann")
+    assert [one["node"] for one in found["nodes"]] == [f"Ann:{label}" for label in LABELS]
+    assert np.allclose(found["frames"][0], POINTS[:, :, 0], atol=1e-2)
+    bob = {"file": file_of(trials, "pair.c3d") | {"person": "Bob"}, "named": {"Bob:LKNE": "lkneemed"}, "name": "mine"}
+    assert np.allclose(ask(client, "/api/files/nodes", {"file": bob["file"]})["frames"][0], POINTS[:, :, 0] + 900.0)
+    tried = ask(client, "/api/files/trial", bob)
+    assert tried["fault"] is None
+    assert "--person Bob" in tried["commands"][0]
+
+
+def test_a_packed_file_alone_comes_in_by_its_mapping(connect: Connect, trials: Path) -> None:
+    source = trials.parent / "trials"
+    with gzip.open(source / "packed.c3d.gz", "wb") as packed:
+        packed.write((source / "one.c3d").read_bytes())
+    kinedex("ingest", trials, source, "--executor", "serial")
+    body = {"file": file_of(trials, "packed.c3d.gz"), "named": NAMED, "name": "mine", "only_this": True}
+    assert ask(connect(trials), "/api/files/trial", body)["fault"] is None
 
 
 def test_only_files_of_the_store_are_read_and_read_only_writes_nothing(connect: Connect, trials: Path) -> None:

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Iterable
+from dataclasses import replace
 
 import numpy as np
 
 from kinedex.catalog.configs import scalar
-from kinedex.catalog.skeletons.skeleton_fit import KINDS, Fit, Mix
+from kinedex.catalog.skeletons.skeleton_fit import KINDS, SEEN, Fit, Mix, SkeletonMapping
 from kinedex.ops.arrays import F64
 
 _HELP = (
@@ -21,7 +23,7 @@ _HELP = (
 )
 
 
-def mapping_yaml(fit: Fit, name: str | None = None, only: str | None = None) -> str:
+def mapping_yaml(fit: Fit, name: str | None = None) -> str:
     """Return the mapping of a fit as YAML that `load_skeleton` reads.
 
     Parameters
@@ -30,23 +32,23 @@ def mapping_yaml(fit: Fit, name: str | None = None, only: str | None = None) -> 
         A recognised body, or a proposal for one.
     name : str, optional
         The name of the mapping; that of the fit's own by default.
-    only : str, optional
-        The regular expression by which it is limited to some files.
 
     Returns
     -------
     str
         Comments state how the body was recognised, and which joints are estimated or unknown.
     """
-    mapping = fit.mapping
+    used = {node for mix in fit.joints.values() if mix is not None for node in mix.names}
+    unused = [node for node in fit.indices if node not in used]
+    mapping, prefix = _without_subject(fit)
     lines = [f"# Recognised with a confidence of {fit.confidence:.2f}:"]
     lines += [f"# - {' '.join(reason.split())}" for reason in fit.reasons]
     lines += ["", *_HELP]
     _, up, ahead = (_axis(row) for row in mapping.axes)
     handed = "right" if np.linalg.det(mapping.axes) > 0 else "left"
     lines += ["", f"name: {scalar(name or mapping.name)}", f"format: {mapping.format}"]
-    if only is not None:
-        lines.append(f"only: {scalar(only)}")
+    if prefix:
+        lines.append(f"strip_prefix: {scalar(prefix)}  # the name of the subject")
     lines += [f"up: {scalar(up)}", f"handedness: {handed}", f"facing: {scalar(ahead)}"]
     if mapping.format in ("acclaim", "bvh", "amass") and not np.array_equal(mapping.root_axes, mapping.axes):
         _, root_up, root_ahead = (scalar(_axis(row)) for row in mapping.root_axes)
@@ -70,10 +72,43 @@ def mapping_yaml(fit: Fit, name: str | None = None, only: str | None = None) -> 
         lines += [f"  {joint}: {scalar(how)}" for joint, how in guessed.items()]
     if rough := [joint for joint in fit.rough if joint in guessed]:
         lines.append(f"rough: [{', '.join(rough)}]  # those of them that may be more than 5 cm off")
-    used = {node for mix in fit.joints.values() if mix is not None for node in mix.names}
-    unused = [node for node in fit.indices if node not in used]
     lines += ["", f"# Nodes that no joint is made of: {', '.join(map(scalar, unused)) or 'none'}", ""]
     return "\n".join(lines)
+
+
+def _without_subject(fit: Fit) -> tuple[SkeletonMapping, str]:
+    """Return the mapping of a fit without the subject before labels of markers, such as `Ann:LKNE`, if there is one.
+
+    The second value is the regular expression of what was removed, so that the mapping fits other subjects, too; empty
+    where labels have no subject, or several that share labels.
+    """
+    mapping = fit.mapping
+    used = {
+        node for mixes in mapping.joints.values() for mix in mixes if mix and not mix.of_joints for node in mix.names
+    }
+    short = Counter(_label(node) for node in fit.indices)
+    subjects = {node.removesuffix(_label(node)) for node in used}
+    if (
+        mapping.format not in SEEN
+        or len(subjects) != 1
+        or "" in subjects
+        or any(short[_label(node)] > 1 for node in used)
+    ):
+        return mapping, ""
+
+    def shortened(mix: Mix | None) -> Mix | None:
+        if mix is None or mix.of_joints:
+            return mix
+        weights = tuple((_label(node), weight) for node, weight in mix.weights)
+        return replace(mix, weights=weights, plane=tuple(map(_label, mix.plane)))
+
+    joints = {joint: tuple(map(shortened, mixes)) for joint, mixes in mapping.joints.items()}
+    return replace(mapping, joints=joints), ".*:"
+
+
+def _label(node: str) -> str:
+    """Return a label without its subject."""
+    return node.rpartition(":")[2]
 
 
 def _axis(row: F64) -> str:

@@ -65,6 +65,8 @@ def test_markers_read_back_as_they_were_recognised(tmp_path: Path) -> None:
     file = write_c3d(tmp_path / "a.c3d", 1000 * z_up(standing_markers(40)), tuple(labels))
     first, second = reread(tmp_path / "own.yaml", file, propose_mapping(file, "own"))
     assert same(first, second)
+    other = write_c3d(tmp_path / "b.c3d", 1000 * z_up(standing_markers(40)), tuple("Bob:" + label for label in LABELS))
+    assert same(first, read_body(other, None, load_mappings(str(tmp_path / "own.yaml"), JOINTS), JOINTS))
 
 
 def test_a_file_that_fits_gets_a_copy_of_its_mapping(tmp_path: Path) -> None:
@@ -184,6 +186,15 @@ def test_a_mapping_may_be_for_files_of_some_names_alone(tmp_path: Path) -> None:
     both = with_own(AUTO, [OwnFile(tmp_path / "one.yaml", text), OwnFile(tmp_path / "all.yaml", general)], JOINTS)
     assert read_body(file, None, both, JOINTS).skeleton == "one"
     assert read_body(other, None, both, JOINTS).skeleton == "all"
+
+
+def test_a_copy_of_a_mapping_can_be_for_some_files_alone(tmp_path: Path) -> None:
+    file = tmp_path / "a.bvh"
+    file.write_text(bvh_text(mixamo(), dance(mixamo(), 20)))
+    (tmp_path / "ours.yaml").write_text(propose_mapping(file, "ours", only=r"^a\.bvh$"))
+    assert load_skeleton(tmp_path / "ours.yaml", JOINTS).only == r"^a\.bvh$"
+    with pytest.raises(KinedexError, match="is no regular expression"):
+        propose_mapping(file, "ours", only="(")
 
 
 def test_the_commands_list_nodes_and_take_their_names(tmp_path: Path) -> None:

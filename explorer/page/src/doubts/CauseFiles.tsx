@@ -76,7 +76,7 @@ function FileRow({ row, readOnly, onAccept }: { row: DoubtRow; readOnly: boolean
           type="button"
           className="doubts-open"
           aria-current={shown}
-          onClick={() => set({ root: from, file: row.source, named: null }, true)}
+          onClick={() => set({ root: from, file: row.source, person: null, named: null }, true)}
         >
           {row.source}
         </button>

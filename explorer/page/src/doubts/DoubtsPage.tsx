@@ -27,6 +27,7 @@ export default function DoubtsPage() {
   const [cause] = useParameter("cause");
   const [root] = useParameter("root");
   const [source] = useParameter("file");
+  const [person] = useParameter("person");
   useSame(found.data);
   if (found.isError) return <div className="page"><Fault fault={found.error} retry={() => void found.refetch()} /></div>;
   if (found.data === undefined) return <Loader m="md" size="sm" aria-label="Loading" />;
@@ -49,7 +50,7 @@ export default function DoubtsPage() {
         )}
       </div>
       <div className="doubts-file">
-        {root !== null && source !== null && <FileView key={`${root} ${source}`} file={{ source_root: root, source }} readOnly={readOnly} />}
+        {root !== null && source !== null && <FileView key={`${root} ${source}`} file={{ source_root: root, source, person: person ?? "" }} readOnly={readOnly} />}
       </div>
     </div>
   );
@@ -69,7 +70,7 @@ function KindCauses({ kind, causes, chosen }: { kind: Kind; causes: Cause[]; cho
               <button
                 type="button"
                 aria-current={one === chosen}
-                onClick={() => set({ kind, cause: one.cause, root: null, file: null, named: null }, true)}
+                onClick={() => set({ kind, cause: one.cause, root: null, file: null, person: null, named: null }, true)}
               >
                 <span title={one.cause}>{one.cause}</span>
                 <span className="number">{open > 0 ? count(open) : "accepted"}</span>

@@ -1,11 +1,11 @@
 // One file: its points or joints as they are in it, what each is taken for, and the body that their names make.
 
-import { Alert, Loader, Slider, Table, Text, Title } from "@mantine/core";
+import { Alert, Loader, NativeSelect, Slider, Table, Text, Title } from "@mantine/core";
 import { useQuery } from "@tanstack/react-query";
 import { useMemo, useState } from "react";
 
 import { post } from "../api/client";
-import { useJsonParameter } from "../app/address";
+import { useJsonParameter, useParameter } from "../app/address";
 import { Fault } from "../app/Fault";
 import { useSame } from "../app/same";
 import { Judgement } from "./Judgement";
@@ -20,6 +20,7 @@ const NOBODY: Named = {};
 export function FileView({ file, readOnly }: { file: SourceFile; readOnly: boolean }) {
   const [given, setNamed] = useJsonParameter<unknown>("named", NOBODY);
   const named = useMemo(() => namesIn(given), [given]);
+  const [, setPerson] = useParameter("person");
   const nodes = useQuery({
     queryKey: ["version", "nodes", file, named],
     queryFn: ({ signal }) => post<Nodes>("/api/files/nodes", { file, named }, signal),
@@ -38,8 +39,11 @@ export function FileView({ file, readOnly }: { file: SourceFile; readOnly: boole
       {nodes.data !== undefined && !nodes.data.can_be_named && (
         <Text size="sm">Its nodes cannot be named one by one: a mapping fits all of them, or the file holds no places.</Text>
       )}
+      {nodes.data !== undefined && nodes.data.persons.length > 0 && (
+        <NativeSelect size="xs" label="Person" data={nodes.data.persons} value={nodes.data.person} onChange={(event) => setPerson(event.currentTarget.value, true)} />
+      )}
       {nodes.data !== undefined && (
-        <NodesView file={file} nodes={nodes.data} named={named} setNamed={setNamed} readOnly={readOnly} />
+        <NodesView file={{ ...file, person: nodes.data.person }} nodes={nodes.data} named={named} setNamed={setNamed} readOnly={readOnly} />
       )}
     </section>
   );

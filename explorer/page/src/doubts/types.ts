@@ -26,6 +26,8 @@ export type DoubtRows = Same & { rows: DoubtRow[]; total: number };
 export interface SourceFile {
   source_root: string;
   source: string;
+  /** The person of a file of several; empty for the first, or for a file of one. */
+  person: string;
 }
 
 export type Place = readonly [number, number, number];
@@ -47,6 +49,8 @@ export type Nodes = Same & {
   parents: number[] | null;
   frames: Frames;
   up: string;
+  persons: string[];
+  person: string;
   refused: string | null;
   proposed_name: string;
 };
