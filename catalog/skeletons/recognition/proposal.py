@@ -96,13 +96,17 @@ def _without_subject(fit: Fit) -> tuple[SkeletonMapping, str]:
     ):
         return mapping, ""
 
-    def shortened(mix: Mix | None) -> Mix | None:
-        if mix is None or mix.of_joints:
+    def shortened(mix: Mix) -> Mix:
+        if mix.of_joints:
             return mix
         weights = tuple((_label(node), weight) for node, weight in mix.weights)
-        return replace(mix, weights=weights, plane=tuple(map(_label, mix.plane)))
+        plane = tuple(shortened(one) if isinstance(one, Mix) else _label(one) for one in mix.plane)
+        return replace(mix, weights=weights, plane=plane)
 
-    joints = {joint: tuple(map(shortened, mixes)) for joint, mixes in mapping.joints.items()}
+    joints = {
+        joint: tuple(None if mix is None else shortened(mix) for mix in mixes)
+        for joint, mixes in mapping.joints.items()
+    }
     return replace(mapping, joints=joints), ".*:"
 
 
