@@ -116,7 +116,8 @@ def placed_by_segment(positions: F64, hidden: int, wanted: Bool, tolerance: floa
     tolerance : float
         The largest error in nine of ten frames that judge a template, in the unit of the positions.
     """
-    seen: Bool = np.asarray(np.isfinite(positions).all(axis=1))
+    seen: Bool = np.asarray((np.abs(positions) < _FARTHEST).all(axis=1))
+    positions = np.where(seen[:, None], positions, np.nan)
     placed = np.full(positions.shape[1:], np.nan)
     used = np.zeros(positions.shape[2], np.int64)
     own = seen[hidden].copy()
@@ -168,8 +169,6 @@ def _template(positions: F64, hidden: int, own: Bool, markers: I64) -> _Template
         return None
     frames = frames[np.unique(np.linspace(0, len(frames) - 1, min(len(frames), _MOST_FRAMES)).astype(int))]
     places = positions[np.append(markers, hidden)][:, :, frames]
-    if not np.abs(places).max() < _FARTHEST:
-        return None
     try:
         shape = mean_shape(places[:-1])
         inside = in_segment(fit_poses(shape, places[:-1]), places[-1:])[0]

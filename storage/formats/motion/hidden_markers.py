@@ -125,8 +125,7 @@ def _counts_in_words(counts: I64) -> str:
 
 def _extent(positions: F64) -> float:
     """Return the extent of all markers in a frame, the median over some frames."""
-    frames = np.unique(np.linspace(0, positions.shape[2] - 1, 64).astype(int))
-    some = positions[:, :, frames]
-    some = some[:, :, np.isfinite(some).any(axis=(0, 1))]
+    frames = np.flatnonzero(np.isfinite(positions).any(axis=(0, 1)))
+    some = positions[:, :, frames[np.unique(np.linspace(0, len(frames) - 1, 64).astype(int))]]
     with np.errstate(over="ignore", invalid="ignore"):
         return float(np.median(np.linalg.norm(np.nanmax(some, axis=0) - np.nanmin(some, axis=0), axis=0)))

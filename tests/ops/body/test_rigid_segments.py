@@ -143,5 +143,8 @@ def test_absurd_numbers_place_nothing() -> None:
     whole = np.full((4, 3, 30), 1e300) * np.random.default_rng(0).normal(size=(4, 3, 30))
     wanted = np.arange(30) > 20
     whole[3][:, wanted] = np.nan
-    with np.errstate(all="ignore"):
-        assert not placed_by_segment(whole, 3, wanted, np.inf).markers.any()
+    assert not placed_by_segment(whole, 3, wanted, np.inf).markers.any()
+    near = moved(np.array([[0.1, 0, 0], [0, 0.12, 0], [-0.1, 0, 0.02], [0.3, 0, 0.0]]), 30, 1)
+    near[0, :, 25], near[1, :, 26] = 1e300, np.inf
+    near[3][:, wanted] = np.nan
+    assert placed_by_segment(near, 3, wanted, 1.0).markers[wanted].tolist() == [3, 3, 3, 3, 0, 0, 3, 3, 3]
