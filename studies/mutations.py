@@ -24,7 +24,7 @@ import argparse
 import sys
 import tempfile
 from collections import Counter, defaultdict
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
 from itertools import chain
 from pathlib import Path
@@ -41,6 +41,9 @@ from kinedex.ops.body import features
 from kinedex.ops.errors import KinedexError
 from kinedex.storage.formats.motion.reader import Body
 from kinedex.storage.formats.motion.reader_table import read_body
+from kinedex.storage.formats.motion.sources import scan
+from studies.acclaim_mutations import AcclaimMutation, AcclaimText, acclaim_files, acclaim_mutations
+from studies.acclaim_mutations import write as write_acclaim
 from studies.point_mutations import FORMS, Mutation, Recording, point_mutations, recordings
 from studies.skeleton_mutations import BvhText, SkeletonMutation, bvh_files, bvh_mutations, write
 
@@ -48,6 +51,7 @@ FEATURES = load_feature_set()
 JOINTS = FEATURES.joints
 MAPPINGS = load_mappings("auto", JOINTS)
 RIGHT_M, ESTIMATED_M = 0.02, 0.05
+SKELETONS = ("BVH", "AMC")
 _ONE_LABEL = ("label hidden in all frames", "label removed", "label renamed to nonsense", "label duplicated")
 OUTCOMES = ("right", "estimated", "warned", "refused", "silent", "not knowable")
 
@@ -80,10 +84,17 @@ def placed(moved: F64, still: F64) -> F64:
     return np.asarray(np.einsum("ab,jbt->jat", turn, moved - middle_a[None, :, None]) + middle_b[None, :, None])
 
 
-def judged(path: Path, control: Body, knowable: bool) -> Outcome:
+def read_beside(path: Path) -> Body:
+    """Read an AMC file with the skeleton of its folder."""
+    found = scan(path.parent)
+    motion = next(one for one in found.motions if one.absolute == path)
+    return read_body(path, found.skeleton_of(motion).absolute, MAPPINGS, JOINTS)
+
+
+def judged(path: Path, control: Body, knowable: bool, reader: Callable[[Path], Body] = read) -> Outcome:
     """Read a mutated file and compare it with the control, which was read from the unchanged recording."""
     try:
-        body = read(path)
+        body = reader(path)
     except KinedexError as fault:
         return Outcome("refused", str(fault).removeprefix(f"{path}: "))
     faults = faults_of(body, control)
@@ -153,7 +164,20 @@ def bvh_trials(found: list[BvhText], given: argparse.Namespace) -> Iterator[Tria
                 yield "BVH", mutation.name, f"{file.name}: {mutation.what}", judged(path, control, mutation.knowable)
 
 
-AnyMutation = TypeVar("AnyMutation", Mutation, SkeletonMutation)
+AnyMutation = TypeVar("AnyMutation", Mutation, SkeletonMutation, AcclaimMutation)
+
+
+def acclaim_trials(found: list[AcclaimText], given: argparse.Namespace) -> Iterator[Trial]:
+    """Yield the trials of AMC files, each read with the skeleton that ingest chooses in its folder."""
+    with tempfile.TemporaryDirectory() as name:
+        folder = Path(name)
+        for file in found:
+            random = np.random.default_rng([given.seed, sum(file.name.encode())])
+            control = read_beside(write_acclaim(folder, file))
+            for mutation in drawn(acclaim_mutations(file, found), given.trials, random):
+                path = write_acclaim(folder, mutation.file)
+                what = f"{file.name}: {mutation.what}"
+                yield "AMC", mutation.name, what, judged(path, control, mutation.knowable, read_beside)
 
 
 def drawn(found: Iterable[AnyMutation], most: int | None, random: np.random.Generator) -> Iterator[AnyMutation]:
@@ -172,7 +196,7 @@ def main() -> int:
     """Print the table; return 1 where a joint moved silently."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("data", type=Path)
-    parser.add_argument("--hold", action="append", choices=[*FORMS, "BVH"], help="only files of this format")
+    parser.add_argument("--hold", action="append", choices=[*FORMS, *SKELETONS], help="only files of this format")
     parser.add_argument("--trials", type=int, help="most trials of a mutation on a recording; all by default")
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--show", nargs="*", default=["silent"], choices=OUTCOMES, help="outcomes to list one by one")
@@ -180,10 +204,11 @@ def main() -> int:
     counts: dict[tuple[str, str], Counter[str]] = defaultdict(Counter)
     shown = []
     found = recordings(given.data)
-    forms = given.hold or [*FORMS, "BVH"]
+    forms = given.hold or [*FORMS, *SKELETONS]
     of_points = (trial for form in forms if form in FORMS for trial in trials(found, form, given))
     of_skeletons = bvh_trials(bvh_files(given.data), given) if "BVH" in forms else ()
-    for form, mutation, what, outcome in chain(of_points, of_skeletons):
+    of_acclaim = acclaim_trials(acclaim_files(given.data), given) if "AMC" in forms else ()
+    for form, mutation, what, outcome in chain(of_points, of_skeletons, of_acclaim):
         counts[form, mutation][outcome.kind] += 1
         if outcome.kind in given.show:
             shown.append(f"{outcome.kind}: {form}, {mutation}, {what}: {outcome.detail}")

@@ -193,10 +193,17 @@ class Mappings:
         """
         if evidence.parents is None:
             return recognise_points(source, evidence, self.joints, form, self.landmarks)
-        usable = [mapping for mapping in self.of(form) if self._may_fit(mapping, source, evidence.names)]
-        if (fit := renamed_fit(usable, evidence)) is not None:
+        if (fit := self.renamed(form, evidence, source)) is not None:
             return fit
         return recognise_tree(source, evidence, self.joints, form, self.vocabulary)
+
+    def renamed(self, form: Format, evidence: Evidence, source: str | Path = "") -> Fit | None:
+        """Return the fit of a mapping of which a tree calls a few nodes otherwise; None if there is none."""
+        if form in self.forced:
+            return None
+        return renamed_fit(
+            [mapping for mapping in self.of(form) if self._may_fit(mapping, source, evidence.names)], evidence
+        )
 
     def completed(self, fit: Fit, evidence: Evidence | None) -> Fit:
         """Return a fit of a shipped mapping with nodes that a tree calls otherwise, if joints lack their own ones."""

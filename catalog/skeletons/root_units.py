@@ -9,6 +9,9 @@ from kinedex.ops.arrays import F64
 FACTORS = (100.0, 0.01, 1000.0, 0.001, 1 / 0.0254, 0.0254, 2.54, 1 / 2.54)
 """The factors that are tried: between metres, centimetres, millimetres and inches."""
 
+OTHER_ROOT_UNIT = "its root seems to move in another unit than that of the bones"
+"""The words with which warnings on such roots begin."""
+
 _FEET = ("lankle", "rankle", "ltoes", "rtoes")
 _ON_FLOOR = 0.12  # share of the legs by which the lowest foot may be off a floor at 0
 _OFF_FLOOR = 0.3  # share of the legs from which on the lowest foot is doubted

@@ -13,8 +13,11 @@ from typing import ClassVar
 import numpy as np
 import numpy.typing as npt
 
+from kinedex.catalog.skeletons.body_evidence import Evidence
 from kinedex.catalog.skeletons.limb_doubts import limb_doubts
 from kinedex.catalog.skeletons.mappings import Fit, Format, Mappings
+from kinedex.catalog.skeletons.root_units import OTHER_ROOT_UNIT, root_factor
+from kinedex.catalog.skeletons.units import unlikely_height
 from kinedex.ops import textnumbers as t
 from kinedex.ops.errors import SourceError, did_you_mean
 from kinedex.storage.formats.motion.asf import INCH_M, Skeleton, read_asf
@@ -203,9 +206,31 @@ class AcclaimReader(Reader):
             skeleton=fit.mapping.name,
             up=fit.up,
             unknown=fit.unknown,
-            warnings=(*motion.warnings, *limb_doubts(positions, joints)),
+            warnings=(*motion.warnings, *_doubts(skeleton, fit, positions, joints)),
             evidence=recognition_evidence(fit),
         )
+
+
+def _doubts(skeleton: Skeleton, fit: Fit, positions: npt.NDArray[np.float64], joints: tuple[str, ...]) -> list[str]:
+    """Return warnings on the skeleton: its names, bones without length, its unit, and the unit of the root."""
+    found = list(fit.doubts)
+    needed = set(fit.nodes)
+    for i in reversed(fit.nodes):
+        while (i := skeleton.nodes[i].parent) >= 0 and i not in needed:
+            needed.add(i)
+    empty = [skeleton.nodes[i].name for i in sorted(needed - {0}) if not skeleton.nodes[i].after.any()]
+    if empty:
+        found.append(f"bones of its skeleton have no length, which may be wrong: {', '.join(empty)}")
+    height = unlikely_height(positions, joints, 1.0)
+    if height is not None:
+        found.append(
+            f"the unit of its skeleton is doubtful: {Path(skeleton.path).name} states a `length` of "
+            f"{skeleton.length_scale:g}, which makes the body {height:.2f} m high"
+        )
+    factor = root_factor(positions, joints)
+    if factor is not None:
+        found.append(f"{OTHER_ROOT_UNIT}: times {factor:.4g} its feet would stand on the floor")
+    return [*found, *limb_doubts(positions, joints)]
 
 
 def fitted_skeleton(file: MotionFile, mappings: Mappings) -> tuple[Skeleton, Fit]:
@@ -217,7 +242,10 @@ def fitted_skeleton(file: MotionFile, mappings: Mappings) -> tuple[Skeleton, Fit
         The skeleton is damaged or missing, or no mapping fits.
     """
     skeleton = _skeleton_of(file)
-    fit = mappings.detect(Path(skeleton.path), "acclaim", skeleton.bones)
+    evidence = Evidence(
+        tuple(skeleton.bones), np.empty((len(skeleton.nodes), 3, 0)), tuple(node.parent for node in skeleton.nodes)
+    )
+    fit = mappings.renamed("acclaim", evidence) or mappings.detect(Path(skeleton.path), "acclaim", skeleton.bones)
     if fit.mapping.unit_m not in (None, INCH_M):
         skeleton = _skeleton_of(file, fit.mapping.unit_m)
     return skeleton, fit

@@ -20,7 +20,7 @@ from kinedex.catalog.skeletons.recognition.node_places import (
     twist_nodes,
     with_exchanged,
 )
-from kinedex.catalog.skeletons.root_units import root_factor
+from kinedex.catalog.skeletons.root_units import OTHER_ROOT_UNIT, root_factor
 from kinedex.ops.body import kinematics
 from kinedex.ops.errors import SourceError
 from kinedex.storage.formats.motion.bvh_parser import BvhFile
@@ -48,7 +48,6 @@ _MIN_NODES = 10  # a root with fewer nodes is a prop or a camera
 _HEAD_BYTES = 1 << 18  # bytes; enough for the hierarchy of some thousand joints
 _KEPT_BYTES = 32 << 20  # bytes of channels that are kept between recognition and reading
 _FEW_POSITIONS = 9  # position channels; more belong to files that place every node
-_OTHER_UNIT = "its root seems to move in another unit than that of the bones"
 _NEARLY_NOTHING = 0.01  # fraction of the length of the OFFSET
 _NODES = re.compile(rb"(?<![^\s{}])(ROOT|JOINT)\s+[^\s{}]+", re.IGNORECASE)
 _MOTION_LINE = re.compile(rb"^[ \t]*MOTION[ \t\r]*$", re.IGNORECASE | re.MULTILINE)
@@ -216,7 +215,7 @@ def _fitted(bvh: _Motion, name: str, mappings: Mappings, joints: tuple[str, ...]
     factor = root_factor(positions, joints) if columns else None
     if factor is not None:
         whole, turned = posed(_Rescaled(bvh, columns, factor), nodes, fit.root, fit, joints)
-        positions, doubt = whole, f"{_OTHER_UNIT}: times {factor:.4g} the feet stand on the floor; it is read so"
+        positions, doubt = whole, f"{OTHER_ROOT_UNIT}: times {factor:.4g} the feet stand on the floor; it is read so"
         fit = replace(fit, doubts=(*fit.doubts, doubt))
     return FittedPerson(fit, positions, turned, turned_by, restored, nodes, person.members)
 

@@ -8,7 +8,9 @@ from pathlib import Path
 
 import pytest
 
-from studies.mutations import judged, read
+from studies.acclaim_mutations import acclaim_files, acclaim_mutations
+from studies.acclaim_mutations import write as write_acclaim
+from studies.mutations import judged, read, read_beside
 from studies.skeleton_mutations import BvhText, bvh_files, bvh_mutations, parse, write
 from tests.bvh_files import bvh_text, dance, mixamo
 from tests.real_data import SHARED
@@ -99,3 +101,21 @@ def test_no_file_of_the_study_moves_silently_by_its_unit(name: str, tmp_path: Pa
     for file in bvh_files(SHARED / "data"):
         found = outcomes(file, tmp_path / "take.bvh", name)
         assert [one for one in found if one[0] not in ("warned", "refused")] == [], file.name
+
+
+@pytest.mark.skipif(not (SHARED / "data" / "cmu").is_dir(), reason="no ../shared/data/cmu")
+def test_no_joint_of_an_acclaim_file_moves_silently(tmp_path: Path) -> None:
+    files = acclaim_files(SHARED / "data")
+    wanted = {
+        "joint renamed": ("right",),
+        "bone of no length": ("right", "warned"),
+        "neighbour's skeleton": ("refused",),
+    }
+    wanted |= {"unit lying": ("warned",), "root in another unit than offsets": ("warned",)}
+    control = read_beside(write_acclaim(tmp_path, files[0]))
+    assert control.warnings == ()
+    for mutation in acclaim_mutations(files[0], files):
+        if mutation.name in wanted:
+            path = write_acclaim(tmp_path, mutation.file)
+            outcome = judged(path, control, mutation.knowable, read_beside)
+            assert outcome.kind in wanted[mutation.name], (mutation.name, mutation.what, outcome)
