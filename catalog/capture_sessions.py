@@ -27,8 +27,14 @@ SESSION = "unlike the files beside it: "
 OPEN_UP, OPEN_RATE = "no axis is clearly up", "its rate is wrong: it states "
 """The beginnings of warnings on takes whose vertical axis or rate does not follow from their file."""
 
+OPEN_UNIT, OPEN_SCALE = "its unit of length is doubtful", "its unit or scale is doubtful"
+WRONG_UNIT = "its unit of length is wrong"
+"""The beginnings of warnings on takes whose unit of length does not follow from their file."""
+
 NO_RATE = "it does not state its frames per second"
 """The beginning of a warning on a take, or the reason why a file is refused, whose rate only its session can decide."""
+
+_OPEN_UNITS = (OPEN_UNIT, OPEN_SCALE, WRONG_UNIT)
 
 BY_SESSION = "as in the other files of its folder"
 """The words by which such a warning says that the session has decided."""
@@ -88,8 +94,8 @@ def session_warnings(rows: Iterable[Row]) -> dict[int, list[str]]:
 
 
 def is_undecided(row: Row) -> bool:
-    """Return whether the vertical axis or the rate of a take does not follow from its own file."""
-    return _has(row, OPEN_UP) or _has(row, OPEN_RATE, NO_RATE)
+    """Return whether the vertical axis, the rate or the unit of a take does not follow from its own file."""
+    return _has(row, OPEN_UP, OPEN_RATE, NO_RATE, *_OPEN_UNITS)
 
 
 def refused_row(take_id: int, place: tuple[str, str, str], recipe: str) -> Row:
@@ -128,9 +134,11 @@ def decided_recipes(rows: Iterable[Row]) -> dict[int, str]:
         if undecided:
             up = _decided(row["file_up"] for row in those if row.get("file_up") and not _has(row, OPEN_UP))
             rate_hz = _decided(row["source_rate_hz"] for row in those if not _has(row, OPEN_RATE, NO_RATE))
+            unit_m = _decided(_metres(row) for row in those if row.get("unit") and not _has(row, *_OPEN_UNITS))
         for row in undecided:
             now: dict[str, Any] = {"session_up": up} if up is not None and _has(row, OPEN_UP) else {}
             now |= {"session_hz": rate_hz} if rate_hz is not None and _has(row, OPEN_RATE, NO_RATE) else {}
+            now |= {"session_unit_m": unit_m} if unit_m is not None and _has(row, *_OPEN_UNITS) else {}
             if now != decisions_in(row["recipe"]):
                 found[row["take_id"]] = _with_decisions(row["recipe"].partition(" ")[0], now)
     return found
@@ -149,6 +157,11 @@ def same_decisions(recipe: str, row: Row) -> str:
 
 def _with_decisions(recipe: str, decisions: Mapping[str, Any]) -> str:
     return f"{recipe} {json.dumps(decisions)}" if decisions else recipe
+
+
+def _metres(row: Row) -> float:
+    """Return the metres of a take's unit, which is a text such as "0.01 m (guessed)"."""
+    return float(row["unit"].split()[0])
 
 
 def _has(row: Row, *beginnings: str) -> bool:

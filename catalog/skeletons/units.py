@@ -39,6 +39,7 @@ RARE_HEIGHTS_M = ((0.8, 1.0), (2.2, 2.3), (0.7, 0.8), (2.3, 4.1))
 """Ranges of heights that are tried if no unit gives a height in `HUMAN_M`, the likelier first: small children,
 giants, and stylised figures, which are ingested with a warning on their height."""
 
+_ROUNDED = 1e-5  # error of units that were written with six digits
 _LEGS = (("lhip", "lknee", "lankle"), ("rhip", "rknee", "rankle"))
 _TRUNK = ("root", "belly", "chest", "neck", "head", "headtop")
 _LIKELY_M = (0.9, 2.3)  # heights of nearly everybody from the age of two
@@ -116,7 +117,19 @@ def unlikely_height(positions: F64, joints: tuple[str, ...], unit_m: float) -> f
         Metres of the stated unit.
     """
     height = body_height(positions, joints)
-    return None if height is None or _LIKELY_M[0] <= height * unit_m <= _LIKELY_M[1] else height * unit_m
+    return None if height is None or is_likely_height(height * unit_m) else height * unit_m
+
+
+def is_likely_height(height_m: float) -> bool:
+    """Return whether a height is that of nearly everybody from the age of two."""
+    return _LIKELY_M[0] <= height_m <= _LIKELY_M[1]
+
+
+def known_unit(unit_m: float) -> tuple[str, float]:
+    """Return name and metres of the unit of length that has about so many metres, and these if there is none."""
+    known = UNITS_M | RARE_UNITS_M | FEET_M
+    near = (unit for unit in known.items() if math.isclose(unit[1], unit_m, rel_tol=_ROUNDED))
+    return next(near, (f"units of {unit_m:.6g} m", unit_m))
 
 
 def contradicted_unit(positions: F64, joints: tuple[str, ...], unit_m: float) -> tuple[str, float, float] | None:

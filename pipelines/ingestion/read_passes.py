@@ -192,7 +192,7 @@ class ReadPasses:
         return self.done
 
     def _decided(self) -> list[Task]:
-        """Return tasks for the files whose axis or rate only the other files of their folders decide."""
+        """Return tasks for the files whose axis, rate or unit only the other files of their folders decide."""
         refused = {one.source for one in self.done.failures if NO_RATE.removeprefix("it ") in one.message}
         rows = dict(self._rows)
         for take, task in self._tasks.items():

@@ -35,7 +35,7 @@ from kinedex.storage.formats.motion.mapped_body import (
     refuse_far,
     to_metres,
     turned_upright,
-    unit_source,
+    unit_statement,
 )
 from kinedex.storage.formats.motion.points import root_orientation
 from kinedex.storage.formats.motion.reader import Body, Extent, MotionFile, Reader, ReadSettings
@@ -131,8 +131,8 @@ class BvhReader(Reader):
                 f"bones {', '.join(restored)} have no length in the file; mapping '{fit.mapping.name}' gives them one"
             )
         evidence = [*recognition_evidence(fit), *turned_by]
-        stated = unit_source(fit, in_file=False)
-        unit = to_metres(file.path, positions, fit.mapping.unit_m, joints, warnings, evidence, stated=stated)
+        stated = unit_statement(fit, None, settings)
+        unit = to_metres(file.path, positions, stated, joints, warnings, evidence)
         refuse_far(file.path, positions, joints, fit.unknown)
         return Body(
             positions=positions,

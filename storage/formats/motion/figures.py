@@ -27,6 +27,7 @@ from kinedex.ops.body import kinematics
 from kinedex.ops.body.transforms import global_transforms, without_scale
 from kinedex.ops.errors import SourceError
 from kinedex.storage.formats.motion.mapped_body import (
+    UnitStatement,
     mapped_orientation,
     recognition_evidence,
     recognition_warnings,
@@ -180,7 +181,8 @@ class FigureReader(Reader):
                 f"bones {', '.join(bones)} have no length in the file; mapping '{fit.mapping.name}' gives them one"
             )
         found = [*recognition_evidence(fit), *upturned]
-        unit = to_metres(path, positions, 1.0, joints, warnings, found, stated="it states")
+        stated = UnitStatement(1.0, "it states", settings.session_unit_m)
+        unit = to_metres(path, positions, stated, joints, warnings, found)
         refuse_far(path, positions, joints, fit.unknown)
         return Body(
             positions=positions,

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from functools import lru_cache
 from pathlib import Path
 from typing import Protocol
@@ -12,7 +12,7 @@ from typing import Protocol
 import numpy as np
 import numpy.typing as npt
 
-from kinedex.catalog.capture_sessions import BY_SESSION, OPEN_RATE
+from kinedex.catalog.capture_sessions import BY_SESSION, OPEN_RATE, OPEN_SCALE, OPEN_UNIT, WRONG_UNIT
 from kinedex.catalog.configs import shipped_configs
 from kinedex.catalog.skeletons.body_evidence import SAMPLED_FRAMES
 from kinedex.catalog.skeletons.recognition.recognised_tree import judged_up
@@ -21,8 +21,11 @@ from kinedex.catalog.skeletons.units import (
     ADULT_M,
     FEET_M,
     HUMAN_M,
+    body_height,
     contradicted_unit,
     guess_unit,
+    is_likely_height,
+    known_unit,
     rival_unit,
     unlikely_height,
 )
@@ -209,15 +212,40 @@ def posed_bytes(frames: int, size: int, nodes: int, joints: int) -> int:
     return body_bytes(frames, joints) + 7 * min(size, BLOCK) + in_block * (24 * nodes + 96 * joints + 72)
 
 
+@dataclass(frozen=True)
+class UnitStatement:
+    """The statement of a file's unit of length.
+
+    Attributes
+    ----------
+    unit_m : float, optional
+        Metres per unit; None to guess the unit from the size of the body.
+    by : str
+        The words for what states the unit, the file or a shipped mapping: it is then replaced if it gives no human
+        size. By default it is kept, as that of a user's mapping is.
+    session_m : float, optional
+        Metres per unit of the other files of the folder, which count where the unit is doubtful.
+    """
+
+    unit_m: float | None
+    by: str = ""
+    session_m: float | None = None
+
+
+def unit_statement(fit: Fit, file_m: float | None, settings: ReadSettings) -> UnitStatement:
+    """Return the unit that a file states (metres, None if it states none), else that of its mapping."""
+    by = "it states" if file_m is not None else f"mapping '{fit.mapping.name}' states" if is_shipped(fit) else ""
+    return UnitStatement(file_m or fit.mapping.unit_m, by, settings.session_unit_m)
+
+
 def to_metres(
     path: Path,
     positions: F64,
-    unit_m: float | None,
+    stated: UnitStatement,
     joints: tuple[str, ...],
     warnings: list[str],
     evidence: list[str],
     frame: int = 0,
-    stated: str = "",
 ) -> str:
     """Scale positions to metres in place and return the unit in words.
 
@@ -227,50 +255,70 @@ def to_metres(
         The file, for messages.
     positions : float64 array (J, 3, T)
         Joint positions in the file's unit.
-    unit_m : float or None
-        Metres per unit; None to guess the unit from the size of the body.
+    stated : UnitStatement
+        The unit that the file or its mapping states.
     joints : tuple of str
         The names of the J joints.
     warnings : list of str
-        A sentence is appended if the unit that a file states is corrected.
+        A sentence is appended if the unit that a file states is corrected, or if the unit is doubtful.
     evidence : list of str
         A sentence is appended if the unit is guessed.
     frame : int, optional
         First frame in which the body is measured.
-    stated : str, optional
-        The words for what states the unit, the file or a shipped mapping: it is then replaced if it gives no human
-        size. By default it is kept, as that of a user's mapping is.
     """
+    unit_m, measured = stated.unit_m, positions[:, :, frame:]
     unit = f"{unit_m:.6g} m" if unit_m is not None else ""
     if unit_m is None:
-        name, unit_m, height = guess_unit(path, positions[:, :, frame:], joints)
+        unit_m = _guessed_unit(path, measured, joints, stated, warnings, evidence)
         unit = f"{unit_m:.6g} m (guessed)"
-        evidence.append(f"its unit of length is guessed: {name}, which makes the body {height:.2f} m high")
-        rival = rival_unit(unit_m, height)
-        if rival is not None or name in FEET_M or not ADULT_M <= height <= HUMAN_M[1]:
-            rare = "a rare unit" if name in FEET_M else "no grown person's height"
-            instead = rare if rival is None else f"in {rival[0]} it would be {rival[1]:.2f} m high"
-            warnings.append(
-                f"its unit of length is doubtful: in {name} the body is {height:.2f} m high, read so; {instead}; "
-                "state `unit_m` in a skeleton mapping"
-            )
-    elif stated and (unlikely := unlikely_height(positions[:, :, frame:], joints, unit_m)) is not None:
-        other = contradicted_unit(positions[:, :, frame:], joints, unit_m)
-        if other is None:
-            warnings.append(
-                f"its unit or scale is doubtful: {stated} {unit_m:.6g} m, which makes the body {unlikely:.2f} m high; "
-                "another one is `unit_m` in a skeleton mapping of your own"
-            )
+    elif stated.by and (unlikely := unlikely_height(measured, joints, unit_m)) is not None:
+        says = f"{stated.by} {unit_m:.6g} m, which makes the body {unlikely:.3g} m high"
+        by_session = _session_unit(measured, joints, stated)
+        found = by_session or contradicted_unit(measured, joints, unit_m)
+        if found is None:
+            warnings.append(f"{OPEN_SCALE}: {says}; another one is `unit_m` in a skeleton mapping of your own")
         else:
-            name, other_m, height = other
-            unit = f"{other_m:.6g} m (guessed)"
-            warnings.append(
-                f"its unit of length is wrong: {stated} {unit_m:.6g} m, which makes the body {unlikely:.3g} m high; it "
-                f"is read in {name}, which make it {height:.2f} m high"
-            )
-            unit_m = other_m
+            name, unit_m, height = found
+            unit = f"{unit_m:.6g} m (guessed)"
+            so = f", {BY_SESSION}" if by_session is not None else ""
+            warnings.append(f"{WRONG_UNIT}: {says}; it is read in {name}{so}, which make it {height:.2f} m high")
     positions *= unit_m
     return unit
+
+
+def _guessed_unit(
+    path: Path,
+    positions: F64,
+    joints: tuple[str, ...],
+    stated: UnitStatement,
+    warnings: list[str],
+    evidence: list[str],
+) -> float:
+    """Return the metres of the unit that the size of the body suggests, or of the session's where that is doubtful."""
+    name, unit_m, height = guess_unit(path, positions, joints)
+    rival = rival_unit(unit_m, height)
+    if rival is not None or name in FEET_M or not ADULT_M <= height <= HUMAN_M[1]:
+        by_session = _session_unit(positions, joints, stated)
+        if by_session is not None:
+            name, unit_m, height = by_session
+            rival = rival_unit(unit_m, height)
+        rare = "a rare unit" if name in FEET_M else "no grown person's height"
+        instead = rare if rival is None else f"in {rival[0]} it would be {rival[1]:.2f} m high"
+        warnings.append(
+            f"{OPEN_UNIT}: in {name} the body is {height:.2f} m high, read so"
+            f"{'' if by_session is None else f', {BY_SESSION}'}; {instead}; state `unit_m` in a skeleton mapping"
+        )
+    evidence.append(f"its unit of length is guessed: {name}, which makes the body {height:.2f} m high")
+    return unit_m
+
+
+def _session_unit(positions: F64, joints: tuple[str, ...], stated: UnitStatement) -> tuple[str, float, float] | None:
+    """Return name, metres and height by the unit of the other files of the folder; None for an unlikely height."""
+    height = body_height(positions, joints)
+    if stated.session_m is None or height is None:
+        return None
+    name, unit_m = known_unit(stated.session_m)
+    return (name, unit_m, height * unit_m) if is_likely_height(height * unit_m) else None
 
 
 def refuse_far(
@@ -303,11 +351,6 @@ def is_shipped(fit: Fit) -> bool:
 def _in_configs(path: Path) -> bool:
     """Return whether a file is one of the configurations that come with kinedex."""
     return path.is_relative_to(shipped_configs())
-
-
-def unit_source(fit: Fit, in_file: bool) -> str:
-    """Return a phrase for the source of a unit that may be replaced, as "it states"; empty for a user's mapping."""
-    return "it states" if in_file else f"mapping '{fit.mapping.name}' states" if is_shipped(fit) else ""
 
 
 def _stands(positions: F64, joints: tuple[str, ...]) -> bool:

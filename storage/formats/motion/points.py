@@ -29,7 +29,7 @@ from kinedex.storage.formats.motion.mapped_body import (
     recognition_warnings,
     refuse_far,
     to_metres,
-    unit_source,
+    unit_statement,
 )
 from kinedex.storage.formats.motion.reader import (
     FASTEST_HZ,
@@ -148,9 +148,9 @@ def body_of_points(
         lost = [joints[i] for i in known if np.isnan(positions[i]).any()]
         warnings.append(_invalid(path, fit, valid, closed.left, longest, called, lost))
     first = int(np.argmax(valid))
-    stated = unit_source(fit, in_file=points.unit_m is not None)
+    stated = unit_statement(fit, points.unit_m, settings)
     evidence = list(recognition_evidence(fit))
-    unit = to_metres(path, positions, points.unit_m or fit.mapping.unit_m, joints, warnings, evidence, first, stated)
+    unit = to_metres(path, positions, stated, joints, warnings, evidence, first)
     refuse_far(path, positions, joints, fit.unknown, valid)
     replaced = replaced_joints(points.positions, fit, positions, joints, float(unit.split()[0]))
     warnings += replaced.warnings

@@ -113,6 +113,8 @@ class ReadSettings:
         The vertical axis of the other files of the folder, for a file in which no axis is clearly up.
     session_hz : float, optional
         The rate of the other files of the folder, for a file whose own is impossible.
+    session_unit_m : float, optional
+        Metres per unit of the other files of the folder, for a file whose unit is doubtful.
     """
 
     rate_hz: float | None = None
@@ -121,6 +123,7 @@ class ReadSettings:
     body_model: str | None = None
     session_up: str = ""
     session_hz: float | None = None
+    session_unit_m: float | None = None
 
     @property
     def acclaim_hz(self) -> float:

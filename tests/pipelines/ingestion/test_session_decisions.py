@@ -1,4 +1,4 @@
-"""The files of a folder decide the vertical axis or the rate that one of them leaves open, and its warnings say so."""
+"""The files of a folder decide the axis, rate or unit that one of them leaves open, and its warnings say so."""
 
 from __future__ import annotations
 
@@ -19,6 +19,7 @@ from tests.bodies import standing
 from tests.bvh_files import bvh_text, dance, mixamo
 from tests.oracles.features import JOINTS
 from tests.pipelines.archives import context
+from tests.storage.formats.motion.test_positions import trc
 
 KEYPOINTS = {
     "lhip": "LHip", "rhip": "RHip", "lknee": "LKnee", "rknee": "RKnee", "lankle": "LAnkle", "rankle": "RAnkle",
@@ -112,6 +113,36 @@ def test_a_file_without_a_rate_is_read_with_that_of_the_other_files(tmp_path: Pa
     assert set(take_in(tmp_path / "store", source)) == {"a", "b"}
     (row,) = open_store(tmp_path / "store").result("ingest_log").to_pylist()
     assert "does not state its frames per second: give `rate_hz`" in row["message"]
+
+
+ACCLAIM_M = 0.0254 / 0.45
+
+
+def test_the_unit_of_the_other_files_decides_between_a_child_and_a_tall_person(tmp_path: Path) -> None:
+    child = 0.6 * standing(60) / ACCLAIM_M
+    write(tmp_path / "alone" / "child.npz", child)
+    alone = take_in(tmp_path / "first", tmp_path / "alone")["child"]
+    assert alone["unit"] == "0.1 m (guessed)"
+    write(tmp_path / "day" / "child.npz", child)
+    write(tmp_path / "day" / "mother.npz", standing(60) / ACCLAIM_M)
+    rows = take_in(tmp_path / "second", tmp_path / "day")
+    assert rows["child"]["unit"] == rows["mother"]["unit"] == "0.0564444 m (guessed)"
+    assert rows["child"]["height_m"] == pytest.approx(0.6 * rows["mother"]["height_m"], rel=0.01)
+    (doubt,) = (one for one in rows["child"]["warnings"] if one.startswith("its unit of length is doubtful"))
+    assert "read so, as in the other files of its folder; in dm" in doubt
+    assert take_in(tmp_path / "second", tmp_path / "day") == rows
+
+
+def test_a_wrong_unit_gives_way_to_that_of_the_other_files_if_it_makes_a_human(tmp_path: Path) -> None:
+    points = standing(30)[[JOINTS.index(joint) for joint in KEYPOINTS]].transpose(2, 0, 1) / 0.3048
+    (tmp_path / "day").mkdir()
+    for name, size, unit in (("a", 1.0, "ft"), ("child", 0.6, "mm"), ("giant", 3.0, "mm")):
+        (tmp_path / "day" / f"{name}.trc").write_text(trc(size * points, tuple(KEYPOINTS.values()), units=unit))
+    rows = take_in(tmp_path / "store", tmp_path / "day")
+    assert rows["a"]["unit"] == "0.3048 m"
+    assert rows["child"]["unit"] == "0.3048 m (guessed)"
+    assert any("it is read in feet, as in the other files of its folder" in one for one in rows["child"]["warnings"])
+    assert rows["giant"]["unit"] != "0.3048 m (guessed)"
 
 
 def test_files_that_disagree_decide_nothing() -> None:
