@@ -302,12 +302,15 @@ def _guessed_unit(
         if by_session is not None:
             name, unit_m, height = by_session
             rival = rival_unit(unit_m, height)
-        rare = "a rare unit" if name in FEET_M else "no grown person's height"
-        instead = rare if rival is None else f"in {rival[0]} it would be {rival[1]:.2f} m high"
-        warnings.append(
-            f"{OPEN_UNIT}: in {name} the body is {height:.2f} m high, read so"
-            f"{'' if by_session is None else f', {BY_SESSION}'}; {instead}; state `unit_m` in a skeleton mapping"
-        )
+        so = "" if by_session is None else f", {BY_SESSION}"
+        parts = [f"{OPEN_UNIT}: in {name} the body is {height:.2f} m high, read so{so}"]
+        if rival is not None:
+            parts.append(f"in {rival[0]} it would be {rival[1]:.2f} m high")
+        elif name in FEET_M:
+            parts.append("a rare unit")
+        elif not ADULT_M <= height <= HUMAN_M[1]:
+            parts.append("no grown person's height")
+        warnings.append("; ".join([*parts, "state `unit_m` in a skeleton mapping"]))
     evidence.append(f"its unit of length is guessed: {name}, which makes the body {height:.2f} m high")
     return unit_m
 
