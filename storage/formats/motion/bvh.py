@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
+from functools import lru_cache
 from typing import ClassVar, NamedTuple
 
 import numpy as np
@@ -194,8 +195,7 @@ def _fitted(bvh: _Motion, name: str, mappings: Mappings, joints: tuple[str, ...]
     try:
         persons = persons_of(bvh.file, _offsets_apart(bvh))
         person = persons[chosen_person(bvh.path, name, [person.name for person in persons])]
-        person, doubts = _untangled(person)
-        person, lost = _with_lost_bones(person)
+        person, doubts, lost = _repaired(person)
         fit = mappings.exact(bvh.path, "bvh", person.indices)
         if fit is None or _skips_spine(person, fit):
             fit = mappings.recognised(bvh.path, "bvh", _evidence(bvh, person))
@@ -220,32 +220,39 @@ def _fitted(bvh: _Motion, name: str, mappings: Mappings, joints: tuple[str, ...]
     return FittedPerson(fit, positions, turned, turned_by, restored, nodes, person.members)
 
 
-def _untangled(person: Person) -> tuple[Person, list[str]]:
-    """Return a figure without names that lie on the wrong side, and a warning on these."""
-    names = [node.name for node in person.nodes]
-    pairs = exchanged_names(names, [node.parent for node in person.nodes])
-    if not pairs:
-        return person, []
-    renamed = with_exchanged(names, pairs)
-    nodes = tuple(replace(node, name=name) for node, name in zip(person.nodes, renamed, strict=True))
-    return replace(person, nodes=nodes), exchange_warning(names, pairs)
+def _repaired(person: Person) -> tuple[Person, tuple[str, ...], LostBones | None]:
+    """Return a figure without names on the wrong side or lost bones, warnings on the names, and the bones."""
+    nodes, doubts, lost = _repairs(person.nodes)
+    if nodes is person.nodes:
+        return person, doubts, lost
+    offsets = person.offsets.copy()
+    for i, offset in lost.offsets.items() if lost is not None else ():
+        offsets[i] = offset
+    return replace(person, nodes=nodes, offsets=offsets), doubts, lost
 
 
-def _with_lost_bones(person: Person) -> tuple[Person, LostBones | None]:
-    """Return a figure with estimated offsets for bones that have lost theirs, and these bones."""
-    offsets = np.array([node.before for node in person.nodes])
+@lru_cache(maxsize=64)  # The takes of an archive share a few hierarchies, and nodes are compared by identity.
+def _repairs(
+    nodes: tuple[kinematics.Node, ...],
+) -> tuple[tuple[kinematics.Node, ...], tuple[str, ...], LostBones | None]:
+    """Return nodes with exchanged names put right and offsets for lost bones, warnings on the names, and the bones."""
+    names, parents = [node.name for node in nodes], [node.parent for node in nodes]
+    pairs = exchanged_names(names, parents)
+    doubts = tuple(exchange_warning(names, pairs))
+    if pairs:
+        names = list(with_exchanged(names, pairs))
+        nodes = tuple(replace(node, name=name) for node, name in zip(nodes, names, strict=True))
     moved = {
         i
-        for i, node in enumerate(person.nodes)
+        for i, node in enumerate(nodes)
         if node.name.endswith("_end") or any(step.kind >= kinematics.MOVE_X for step in node.steps)
     }
-    lost = lost_bones([node.name for node in person.nodes], [node.parent for node in person.nodes], offsets, moved)
-    if lost is None or not lost.offsets:
-        return person, lost
-    nodes, whole = list(person.nodes), person.offsets.copy()
-    for i, offset in lost.offsets.items():
-        nodes[i], whole[i] = replace(nodes[i], before=offset), offset
-    return replace(person, nodes=tuple(nodes), offsets=whole), lost
+    lost = lost_bones(names, parents, np.array([node.before for node in nodes]), moved)
+    if lost is not None and lost.offsets:
+        nodes = tuple(
+            replace(node, before=lost.offsets[i]) if i in lost.offsets else node for i, node in enumerate(nodes)
+        )
+    return nodes, doubts, lost
 
 
 def _root_columns(file: BvhFile, nodes: Sequence[kinematics.Node]) -> list[int]:
