@@ -8,7 +8,7 @@ import types
 from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import Annotated, Any, Literal, Union, get_args, get_origin
+from typing import Annotated, Any, ForwardRef, Literal, Union, get_args, get_origin
 
 import typer
 from pydantic import BaseModel
@@ -320,7 +320,8 @@ def _bare(annotation: Any) -> str:
         )
     if annotation in _NAMES:
         return _NAMES[annotation]
-    return f"`{annotation.__name__.strip('_').removesuffix('Entry')}`"
+    name = annotation.__forward_arg__ if isinstance(annotation, ForwardRef) else annotation.__name__
+    return f"`{name.strip('_').removesuffix('Entry')}`"
 
 
 def _pipeline(name: str) -> str:
