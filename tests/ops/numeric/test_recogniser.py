@@ -1,0 +1,68 @@
+"""Motions that examples teach are found in takes, wherever they are, and on whichever side."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from kinedex.ops.body.facing_direction import mirrored_positions, turn_about_y
+from kinedex.ops.body.joint_tree import JOINTS
+from kinedex.ops.errors import ParameterError
+from kinedex.ops.numeric.recogniser import Example, Recogniser
+from tests.ops.numeric.motions import MIRROR, RATE_HZ, in_a_row, motion
+
+NAMES = ("raise left", "raise right", "bow")
+ARCHIVE = [in_a_row(["walk", "stand", "walk"], [60, 50, 40], 500)]
+ROW, LENGTHS = ["bow", "stand", "raise right", "raise left", "walk", "bow"], [40, 60, 36, 44, 70, 38]
+
+
+@pytest.fixture(scope="module")
+def taught() -> Recogniser:
+    examples = [Example(motion(NAMES[k % 3], 34 + 2 * k, k), NAMES[k % 3]) for k in range(9)]
+    return Recogniser.fit(examples, ARCHIVE, JOINTS, RATE_HZ, MIRROR)
+
+
+def test_motions_are_found_between_others(taught: Recogniser) -> None:
+    found = taught.label(in_a_row(ROW, LENGTHS, 100), readiness=1.0)
+    assert [one.label for one in found] == ["bow", "raise right", "raise left", "bow"]
+    edges = np.cumsum([0, *LENGTHS])
+    true = [(edges[k], edges[k + 1]) for k in (0, 2, 3, 5)]
+    assert all(
+        abs(one.start - start) < 15 and abs(one.stop - stop) < 15
+        for one, (start, stop) in zip(found, true, strict=True)
+    )
+    assert all(one.probability > 0.9 for one in found)
+
+
+def test_place_and_heading_do_not_matter(taught: Recogniser) -> None:
+    take = in_a_row(ROW, LENGTHS, 100)
+    found = taught.label(turn_about_y(take, 2.0) + np.array([7.0, 0.0, -3.0]))
+    assert [one[:3] for one in found] == [one[:3] for one in taught.label(take)]
+
+
+def test_a_mirror_image_has_the_mirrored_labels() -> None:
+    one_sided = [
+        Example(motion(("raise left", "bow")[k % 2], 34 + 2 * k, k), ("raise left", "bow")[k % 2]) for k in range(6)
+    ]
+    both = [Example(mirrored_positions(one.positions, JOINTS), MIRROR[one.label]) for one in one_sided]
+    taught = Recogniser.fit([*one_sided, *both], ARCHIVE, JOINTS, RATE_HZ, MIRROR)
+    take = in_a_row(["bow", "raise right", "raise left"], [40, 40, 44], 60)
+    found, image = (taught.label(one) for one in (take, mirrored_positions(take, JOINTS)))
+    assert [(one.start, one.stop, MIRROR[one.label]) for one in found] == [one[:3] for one in image]
+
+
+def test_whole_takes_are_classified(taught: Recogniser) -> None:
+    for k, name in enumerate(NAMES):
+        assert taught.classes[int(taught.classify(motion(name, 41, 200 + k)).argmax())] == name
+
+
+def test_one_example_of_a_class_is_enough_to_start() -> None:
+    taught = Recogniser.fit([Example(motion(name, 40, k), name) for k, name in enumerate(NAMES)], [], JOINTS, RATE_HZ)
+    assert [one.label for one in taught.label(in_a_row(["raise left", "bow"], [40, 44], 90))] == ["raise left", "bow"]
+
+
+def test_examples_that_teach_nothing_are_refused() -> None:
+    with pytest.raises(ParameterError, match="at least one"):
+        Recogniser.fit([], ARCHIVE, JOINTS, RATE_HZ)
+    with pytest.raises(ParameterError, match="of 3 frames or more"):
+        Recogniser.fit([Example(motion("bow", 2), "bow")], ARCHIVE, JOINTS, RATE_HZ)
