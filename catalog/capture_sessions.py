@@ -290,7 +290,7 @@ def _bodies(takes: Sequence[Row]) -> Iterator[tuple[int, str]]:
 
 
 def _tempos(takes: Sequence[Row]) -> Iterator[tuple[int, str]]:
-    """Yield the takes in a session of motions of one kind that are faster or slower than a person would repeat them."""
+    """Yield each take whose tempo and speed differ from the medians as repetitions would not, with a warning."""
     tempos, speeds = _values(takes, "tempo_hz"), _values(takes, "speed_m_s")
     tempo, speed = _typical(tempos.values(), _SAME_TEMPO), _typical(speeds.values(), _OTHER_SPEED)
     for take, value in tempos.items() if tempo.is_clear and speed.is_clear else ():

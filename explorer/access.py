@@ -124,7 +124,7 @@ def _host_name(header: str) -> str:
 def is_cross_site(request: Request) -> bool:
     """Return whether another site made a request.
 
-    A browser reports the site in Sec-Fetch-Site, and in Origin with everything that is not plain navigation. Plain
+    A browser reports the site in Sec-Fetch-Site, and in Origin with all methods but GET and HEAD. Plain
     navigation to the page is allowed from any site, because its data is shown to this browser alone.
     """
     origin = request.headers.get("origin")

@@ -27,7 +27,7 @@ from kinedex.ops.arrays import F64, U64
 from kinedex.ops.body.joint_tree import JOINTS
 from kinedex.ops.evaluation.metrics import Counts, compare, pooled
 from kinedex.ops.intervals import analysis_frame
-from kinedex.ops.numeric.recogniser import Example, Recogniser
+from kinedex.ops.numeric.recogniser import Recogniser, TaughtMotion
 from kinedex.ops.words import TakeWords
 from kinedex.pipelines.annotation.annotators import Annotator, make_annotator
 from kinedex.pipelines.annotation.batches import annotate_words
@@ -114,7 +114,7 @@ def taught(store: Store, examples: Sequence[Motion], archive: Sequence[Motion]) 
     """Return a recogniser that has learned the examples; classes called left and right mirror each other."""
     labels = [one.truth[0][2] for one in examples]
     mirror = {label: mirrored(label) for label in labels}
-    given = [Example(one.positions, label) for one, label in zip(examples, labels, strict=True)]
+    given = [TaughtMotion(one.positions, label) for one, label in zip(examples, labels, strict=True)]
     return Recogniser.fit(given, [one.positions for one in archive], JOINTS, store.rate_hz, mirror)
 
 
@@ -206,7 +206,7 @@ def hdm05_rows(store: Store, truth: Path, executor: Executor) -> Iterator[str]:
 def _compared(name: str, store: Store, examples: Sequence[Motion], takes: Sequence[Motion], executor: Executor) -> str:
     """Return a row with the scores of both methods."""
     recogniser = Recogniser.fit(
-        [Example(one.positions, one.truth[0][2]) for one in examples],
+        [TaughtMotion(one.positions, one.truth[0][2]) for one in examples],
         [one.positions for one in takes], JOINTS, store.rate_hz,
     )  # fmt: skip
     found = [[(one.start, one.stop, one.label) for one in recogniser.label(take.positions)] for take in takes]

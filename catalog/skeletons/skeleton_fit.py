@@ -169,10 +169,11 @@ class Mix:
 
 @dataclass(frozen=True)
 class Chord(Mix):
-    """A combination whose offset lies in the plane: from a, away from c, to where the ways to a and b are square.
+    """A combination whose point p lies in the plane of a, b and c, off a, where p − a and p − b are perpendicular.
 
-    So a knee lies between its outer marker a, the hip b and a marker c on the thigh, and an ankle likewise (R. Davis et
-    al., Human Movement Science 10 (1991), 575-587). `out` is the distance from a in units of |b − a|.
+    The point lies on the other side of the line from a to b than c does. So a knee lies between its outer marker a, the
+    hip b and a marker c on the thigh, and an ankle likewise (R. Davis et al., Human Movement Science 10 (1991),
+    575-587). `out` is the distance from a in units of |b − a|.
     """
 
     def _offset(self, first: F64, second: F64, hand: float) -> F64:

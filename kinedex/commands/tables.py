@@ -223,7 +223,7 @@ def _nothing_chosen(store: Store, where: str) -> str:
 
 
 def _take_remarks(table: pa.Table, columns: Sequence[str]) -> Iterator[str]:
-    """Yield remarks on bodies that lack joints and on warnings, if the columns about them are not shown."""
+    """Yield a remark on bodies that lack joints, and one on warnings if their column is not shown."""
     partial = table.num_rows - table.column("known").null_count
     if partial:
         yield f"{counted(partial, 'body', 'bodies')} without some joints (column known)"

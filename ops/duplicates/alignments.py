@@ -228,7 +228,10 @@ def _count_votes(take: I64, frame: I64, image: Bool, ahead: I64, asked: Bool, co
 def _votes(
     take: I64, frame: I64, image: Bool, ahead: I64, asked: Bool, low: int, high: int, size: int
 ) -> tuple[I64, I64, I64, I64]:
-    """Return both takes, shift and the second take's frame of each vote whose first take is in [low, high)."""
+    """Return both takes, the shift, and the frame in the second take of each pair of sequences that are equal.
+
+    Each pair is a vote for an alignment; its first take, which has the lower number, is in [low, high).
+    """
     first, second, shift = np.empty(size, np.int64), np.empty(size, np.int64), np.empty(size, np.int64)
     place = np.empty(size, np.int64)
     n = 0

@@ -40,8 +40,8 @@ LEAST_SPREAD = 0.02
 """The variance of log durations that is added to that of the examples."""
 
 
-class Example(NamedTuple):
-    """A motion of a class.
+class TaughtMotion(NamedTuple):
+    """A motion that teaches a class.
 
     Attributes
     ----------
@@ -108,7 +108,7 @@ class Recogniser:
     @classmethod
     def fit(
         cls,
-        examples: Sequence[Example],
+        examples: Sequence[TaughtMotion],
         unlabelled: Sequence[F64],
         joints: Sequence[str],
         rate_hz: float,
@@ -118,7 +118,7 @@ class Recogniser:
 
         Parameters
         ----------
-        examples : sequence of Example
+        examples : sequence of TaughtMotion
             At least one of each class, each of three frames at least.
         unlabelled : sequence of float64 arrays (L, J, 3)
             Takes of the archive, whose usual frames are the background; the examples serve where there are none.

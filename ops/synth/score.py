@@ -128,7 +128,7 @@ class Score:
             self._put(name, self.now, value)
 
     def move(self, start: float, stop: float, **targets: float) -> None:
-        """Move channels to targets between two times, in seconds from `now`; ongoing movements are continued."""
+        """Move channels to targets between two times, in seconds from `now`; these end ongoing ones."""
         for name, target in targets.items():
             value = target + self.manner.get(name, 0.0) + (self.wound if name == "roll" else 0.0)
             late = self.late.get(GROUP[name], 0.0)

@@ -61,7 +61,8 @@ def chosen_takes(store: Store, takes: Sequence[str], where: str | None) -> list[
 def recording_names(takes: Sequence[str]) -> list[str]:
     """Return a name for the recording of each take, which is also the name of its folder.
 
-    Letters, digits and . + - are kept, other characters become underscores.
+    Characters other than letters, digits and . + - become underscores. Leading . + - are removed, long names are cut,
+    and equal ones are numbered.
     """
     plain = [(_FORBIDDEN.sub("_", take)[:_MAX_LETTERS]).lstrip(".+-") or "take" for take in takes]
     twice = {name.casefold() for name in plain if sum(one.casefold() == name.casefold() for one in plain) > 1}

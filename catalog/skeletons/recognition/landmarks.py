@@ -258,7 +258,7 @@ class Landmarks:
         return (named, set(found)) if len(named) >= _ARM else ({}, set())
 
     def _key_of(self, label: str) -> tuple[str, ...]:
-        """Return the forms under which a label is looked up: all its words, and its words without a side."""
+        """Return the forms by which a label is looked up: with its side, if any, as l or r in front, and as a word."""
         known = self._keys.get(label)
         if known is not None:
             return known

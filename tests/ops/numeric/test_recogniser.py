@@ -8,7 +8,7 @@ import pytest
 from kinedex.ops.body.facing_direction import mirrored_positions, turn_about_y
 from kinedex.ops.body.joint_tree import JOINTS
 from kinedex.ops.errors import ParameterError
-from kinedex.ops.numeric.recogniser import Example, Recogniser
+from kinedex.ops.numeric.recogniser import Recogniser, TaughtMotion
 from tests.ops.numeric.motions import MIRROR, RATE_HZ, in_a_row, motion
 
 NAMES = ("raise left", "raise right", "bow")
@@ -18,7 +18,7 @@ ROW, LENGTHS = ["bow", "stand", "raise right", "raise left", "walk", "bow"], [40
 
 @pytest.fixture(scope="module")
 def taught() -> Recogniser:
-    examples = [Example(motion(NAMES[k % 3], 34 + 2 * k, k), NAMES[k % 3]) for k in range(9)]
+    examples = [TaughtMotion(motion(NAMES[k % 3], 34 + 2 * k, k), NAMES[k % 3]) for k in range(9)]
     return Recogniser.fit(examples, ARCHIVE, JOINTS, RATE_HZ, MIRROR)
 
 
@@ -42,9 +42,10 @@ def test_place_and_heading_do_not_matter(taught: Recogniser) -> None:
 
 def test_a_mirror_image_has_the_mirrored_labels() -> None:
     one_sided = [
-        Example(motion(("raise left", "bow")[k % 2], 34 + 2 * k, k), ("raise left", "bow")[k % 2]) for k in range(6)
+        TaughtMotion(motion(("raise left", "bow")[k % 2], 34 + 2 * k, k), ("raise left", "bow")[k % 2])
+        for k in range(6)
     ]
-    both = [Example(mirrored_positions(one.positions, JOINTS), MIRROR[one.label]) for one in one_sided]
+    both = [TaughtMotion(mirrored_positions(one.positions, JOINTS), MIRROR[one.label]) for one in one_sided]
     taught = Recogniser.fit([*one_sided, *both], ARCHIVE, JOINTS, RATE_HZ, MIRROR)
     take = in_a_row(["bow", "raise right", "raise left"], [40, 40, 44], 60)
     found, image = (taught.label(one) for one in (take, mirrored_positions(take, JOINTS)))
@@ -57,7 +58,9 @@ def test_whole_takes_are_classified(taught: Recogniser) -> None:
 
 
 def test_one_example_of_a_class_is_enough_to_start() -> None:
-    taught = Recogniser.fit([Example(motion(name, 40, k), name) for k, name in enumerate(NAMES)], [], JOINTS, RATE_HZ)
+    taught = Recogniser.fit(
+        [TaughtMotion(motion(name, 40, k), name) for k, name in enumerate(NAMES)], [], JOINTS, RATE_HZ
+    )
     assert [one.label for one in taught.label(in_a_row(["raise left", "bow"], [40, 44], 90))] == ["raise left", "bow"]
 
 
@@ -65,4 +68,4 @@ def test_examples_that_teach_nothing_are_refused() -> None:
     with pytest.raises(ParameterError, match="at least one"):
         Recogniser.fit([], ARCHIVE, JOINTS, RATE_HZ)
     with pytest.raises(ParameterError, match="of 3 frames or more"):
-        Recogniser.fit([Example(motion("bow", 2), "bow")], ARCHIVE, JOINTS, RATE_HZ)
+        Recogniser.fit([TaughtMotion(motion("bow", 2), "bow")], ARCHIVE, JOINTS, RATE_HZ)
