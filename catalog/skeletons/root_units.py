@@ -19,6 +19,7 @@ _STILL = 0.75  # share to which the way of the foot that moves least must fall; 
 _FRAMES = 32
 
 
+@np.errstate(over="ignore", invalid="ignore")  # Absurd numbers are refused elsewhere.
 def root_factor(positions: F64, joints: tuple[str, ...]) -> float | None:
     """Return the factor by which the root's places would fit the bones; None if they fit as they are.
 
@@ -39,11 +40,10 @@ def root_factor(positions: F64, joints: tuple[str, ...]) -> float | None:
     leg = float(np.sqrt(((hip - knee) ** 2).sum()) + np.sqrt(((knee - ankle) ** 2).sum()))
     step = -(-positions.shape[2] // _FRAMES)
     feet = positions[[at[joint] for joint in _FEET]]
-    with np.errstate(over="ignore", invalid="ignore"):  # Absurd numbers are refused elsewhere.
-        low = float(feet[:, 1, ::step].min())
-        if not leg > 0 or not abs(low) > _OFF_FLOOR * leg:
-            return None
-        return _factor(positions[at["root"]], feet, leg, step)
+    low = float(feet[:, 1, ::step].min())
+    if not leg > 0 or not abs(low) > _OFF_FLOOR * leg:
+        return None
+    return _factor(positions[at["root"]], feet, leg, step)
 
 
 def _factor(root: F64, feet: F64, leg: float, step: int) -> float | None:

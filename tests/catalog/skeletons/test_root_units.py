@@ -42,3 +42,9 @@ def test_a_body_far_from_a_floor_or_centred_at_its_root_is_left_alone(height: fl
     assert root_factor(moving, JOINTS) is None
     still = walk(speed=0.0, height=95.0) - np.array([[0.0], [95.0 - height], [0.0]])
     assert root_factor(still, JOINTS) is None
+
+
+def test_absurd_places_say_nothing() -> None:
+    absurd = walk()
+    absurd[:, :, 0] = np.inf
+    assert root_factor(absurd, JOINTS) is None
