@@ -39,7 +39,7 @@ class Discriminant:
     biases: F64
 
     @classmethod
-    def fit(cls, descriptors: F64, classes: I64, archive: F64, shrinkage: float = SHRINKAGE) -> Discriminant:
+    def fit(cls, descriptors: F64, classes: I64, shrinkage: float = SHRINKAGE) -> Discriminant:
         """Fit a discriminant; all classes are equally probable beforehand.
 
         Parameters
@@ -48,8 +48,6 @@ class Discriminant:
             The descriptors of the examples.
         classes : int64 array (E,)
             The class of each example, from 0; every class up to the greatest has one.
-        archive : float64 array (A, D)
-            Descriptors whose mean and deviation standardise all others.
         shrinkage : float
             The share of the diagonal in the covariance, from 0 to 1.
 
@@ -62,7 +60,7 @@ class Discriminant:
         sizes = np.bincount(classes, minlength=count)
         if not count or not sizes.all():
             raise ParameterError("classes", "with an example of each", f"none of class {int(np.argmin(sizes))}")
-        centre, scale = archive.mean(axis=0), archive.std(axis=0)
+        centre, scale = descriptors.mean(axis=0), descriptors.std(axis=0)
         scale = np.where(scale > 0, scale, 1.0)
         standard = (descriptors - centre) / scale
         means = np.stack([standard[classes == one].mean(axis=0) for one in range(count)])

@@ -157,7 +157,7 @@ class Recogniser:
                 described.append(_taught(image, rate_hz))
                 labels.append(classes.index(other))
         descriptors = np.concatenate(described)
-        discriminant = Discriminant.fit(descriptors, np.repeat(labels, len(CUTS)), descriptors)
+        discriminant = Discriminant.fit(descriptors, np.repeat(labels, len(CUTS)))
         logs = np.log([len(one.positions) for one in examples])
         means = np.array([logs[own == one].mean() for one in range(len(classes))])
         variance = np.mean([logs[own == one].var() for one in range(len(classes))])

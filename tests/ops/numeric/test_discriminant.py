@@ -34,7 +34,7 @@ def test_posteriors_are_those_of_scikit_learn() -> None:
 
     theirs = LinearDiscriminantAnalysis(solver="lsqr", covariance_estimator=Given(), priors=[0.25] * 4)
     theirs.fit(standard, classes)
-    found = Discriminant.fit(descriptors, classes, descriptors, 0.3)
+    found = Discriminant.fit(descriptors, classes, 0.3)
     np.testing.assert_allclose(found.log_posteriors(descriptors), theirs.predict_log_proba(standard), atol=1e-8)
 
 
@@ -46,8 +46,8 @@ def test_a_shrunk_covariance_has_its_variances_and_less_of_the_rest() -> None:
 def test_units_do_not_matter_and_numbers_that_never_vary_do_no_harm() -> None:
     descriptors, classes = examples()
     scaled = np.concatenate([descriptors * np.array([1, 1e3, 1e-3, 1, 1, 7]) + 5, np.full((36, 1), 3.0)], axis=1)
-    plain = Discriminant.fit(descriptors, classes, descriptors).log_posteriors(descriptors)
-    found = Discriminant.fit(scaled, classes, scaled).log_posteriors(scaled)
+    plain = Discriminant.fit(descriptors, classes).log_posteriors(descriptors)
+    found = Discriminant.fit(scaled, classes).log_posteriors(scaled)
     np.testing.assert_allclose(np.exp(found), np.exp(plain), atol=0.01)
     assert np.exp(found).sum(axis=1) == pytest.approx(1.0)
 
@@ -55,4 +55,4 @@ def test_units_do_not_matter_and_numbers_that_never_vary_do_no_harm() -> None:
 def test_a_class_without_an_example_is_refused() -> None:
     descriptors, classes = examples()
     with pytest.raises(ParameterError, match="none of class 2"):
-        Discriminant.fit(descriptors[classes != 2], classes[classes != 2], descriptors)
+        Discriminant.fit(descriptors[classes != 2], classes[classes != 2])
