@@ -137,6 +137,15 @@ def test_labels_are_drawn_dragged_undone_and_accepted(page: Page, explorer: Expl
     assert [row[3:] for row in labels(explorer, f"take = '{TAKE}'")] == [("positive", "accepted")]
 
 
+def test_what_the_address_names_is_chosen_when_it_arrives(page: Page, explorer: Explorer) -> None:
+    page.goto(explorer.url(f"/label?take={TAKE}&from=3&to=17"))
+    expect(page.locator(".label-annotation").first).to_be_visible()
+    expect(page.locator('[aria-pressed="true"]')).to_have_count(0)
+    store = kinedex.open_store(explorer.store)
+    store.labels.add([{"take": TAKE, "class": "late", "start": 3, "stop": 17}], annotator="somebody")
+    expect(page.locator('[aria-pressed="true"]')).to_have_attribute("title", re.compile("frames 3 to 17, label drawn"))
+
+
 def test_the_queue_is_answered_by_keys(page: Page, explorer: Explorer) -> None:
     page.goto(explorer.url("/label"))
     counts = page.get_by_test_id("queue-counts")

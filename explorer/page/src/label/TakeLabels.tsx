@@ -77,7 +77,7 @@ function OpenLabels({ document, store, annotator }: OpenProps) {
     () => lanes.flatMap((lane) => lane.items).find((one) => isChosen(one, chosen)) ?? null,
     [lanes, chosen],
   );
-  useFirstChoice(lanes, labels.isSuccess, choose);
+  useFirstChoice(lanes, chosen, choose);
   const input = useRef<HTMLInputElement>(null);
   const edits = useEdits({ name, annotator, session, current, stage: labels.data?.stage ?? null, choose, store });
   const colourOf = useColours(lanes);
@@ -143,16 +143,19 @@ function OpenLabels({ document, store, annotator }: OpenProps) {
   );
 }
 
-/** Choose the label or annotation with the interval of the address: it is what the person came for. */
-function useFirstChoice(lanes: readonly Lane[], ready: boolean, choose: (chosen: Chosen) => void): void {
+/** Choose the label or annotation with the interval of the address, which may come with a later version of the store.
+ *
+ * It is chosen once, and not at all after the person has chosen another. */
+function useFirstChoice(lanes: readonly Lane[], chosen: Chosen, choose: (chosen: Chosen) => void): void {
   const done = useRef(false);
   useEffect(() => {
-    if (done.current || !ready) return;
-    done.current = true;
+    if (chosen !== null) done.current = true;
+    if (done.current) return;
     const parameters = new URLSearchParams(window.location.search);
     const [from, to] = [Number(parameters.get("from") ?? "x"), Number(parameters.get("to") ?? "x")];
-    choose(toChosen(lanes.flatMap((lane) => lane.items).find((one) => one.start === from && one.stop === to) ?? null));
-  }, [lanes, ready, choose]);
+    const found = lanes.flatMap((lane) => lane.items).find((one) => one.start === from && one.stop === to);
+    if (found !== undefined) choose(toChosen(found));
+  }, [lanes, chosen, choose]);
 }
 
 const toChosen = (item: Item | null): Chosen =>
