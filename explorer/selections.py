@@ -201,7 +201,7 @@ def quoting_condition(function: Answer[Asked]) -> Answer[Asked]:
     Parameters
     ----------
     function : callable
-        Returns the answer to the archive, a selection and the request.
+        The handler, which takes the archive, a selection and the request, and returns the answer.
     """
 
     @wraps(function)

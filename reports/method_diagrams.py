@@ -78,7 +78,7 @@ class Block:
     start, stop : int
         Analysis frames.
     near : int or None
-        Place of the nearest example in the page's list.
+        Index of the nearest example in the page's list.
     """
 
     left: float
@@ -185,8 +185,7 @@ def strips(
 
     Segments of methods are compared with manual segments, and manual segments with those of the first method in
     `outcomes`. A segment is drawn as wrong if none of those that it is compared with has its class and shares a frame
-    with it.
-    `near` has the place of the nearest example of (class, start, stop).
+    with it. `near` maps the class, start and stop of a segment to the index of its nearest example in the page's list.
     """
     manual = sorted(test_take.truth, key=lambda one: (one.start, one.stop, one.label))
     sides: list[tuple[str, Sequence[TakeSegment], Sequence[TakeSegment]]] = [

@@ -21,10 +21,10 @@ _FRAMES = 32
 
 @np.errstate(over="ignore", invalid="ignore")  # Absurd numbers are refused elsewhere.
 def root_factor(positions: F64, joints: tuple[str, ...]) -> float | None:
-    """Return the factor by which the root's places would fit the bones; None if they fit as they are.
+    """Return the factor from the unit of the root to that of the bones; None if none is needed or found.
 
-    The lowest foot is then on a floor at 0, which it is not as the file is, and the foot that moves least between two
-    frames moves clearly less far.
+    A factor of `FACTORS` is found if the lowest foot, which is far from a height of 0 in the file, comes to lie near 0
+    with it, and if the foot that stands best moves clearly less between frames than without the factor.
 
     Parameters
     ----------
@@ -47,7 +47,7 @@ def root_factor(positions: F64, joints: tuple[str, ...]) -> float | None:
 
 
 def _factor(root: F64, feet: F64, leg: float, step: int) -> float | None:
-    """Return the factor that puts the feet (4, 3, T) on the floor and lets them stand."""
+    """Return the first factor with which the feet (4, 3, T) reach the floor and stand better; None if there is none."""
     own = feet - root
     moved = np.diff(root, axis=1)
     turned = np.diff(own, axis=2)

@@ -46,8 +46,8 @@ _CLASSES = {"Store", "Take", "Template", "Query", "DataFrame"}
 def checked(function: T) -> T:
     """Return a public function that raises a ParameterError for an argument of a wrong type.
 
-    Arguments that can be paths must be paths of this machine. Annotations are checked if they name plain types, classes
-    of the public interface, or sequences of these. Other values (arrays, aliases) are checked by the function itself.
+    Arguments that can be paths must be paths of this machine. An argument is checked if its annotation names plain
+    types, classes of the public interface, or sequences of these. The function checks all others, such as arrays.
     """
     signature = inspect.signature(function)
     found = ((name, _check_of(one.annotation)) for name, one in signature.parameters.items())

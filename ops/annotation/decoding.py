@@ -184,8 +184,8 @@ def explain(
         The result of `ops.annotation.promising_ranges` for the same arguments, with which the same explanation is found
         faster.
     loose : int64 array (R, 3), optional
-        The result of `ops.annotation.promising_ranges.loose_ranges`, which is used only without `ranges`. With it, the
-        same explanation is found faster, and its values are the same to the last bit.
+        The result of `ops.annotation.promising_ranges.loose_ranges`, which is meant for calls without `ranges`. With
+        it, the same explanation is found faster, and its values are the same to the last bit.
 
     Returns
     -------

@@ -101,9 +101,10 @@ def in_segment(poses: Poses, positions: F64) -> F64:
 def placed_by_segment(positions: F64, hidden: int, wanted: Bool, tolerance: float) -> Placed:
     """Place a hidden marker by the pose of its segment, which is fitted to the other markers.
 
-    Each set of markers that are seen together is tried on the frames in which the hidden one is seen, too: half of them
-    make the template, the other half judge it. Where the marker appears beside the template at the ends of a
-    gap, its place in the segment goes straight from one end to the other.
+    Sets of other markers are tried: those that are seen most often in the wanted frames. A set is tested in frames in
+    which it and the hidden marker are seen: the mean place of the marker in the axes of the segment, from half of these
+    frames, is compared with its places in the other half. In a gap, the place of the marker in the axes of the segment
+    is interpolated between its places at both ends of the gap.
 
     Parameters
     ----------
@@ -114,7 +115,7 @@ def placed_by_segment(positions: F64, hidden: int, wanted: Bool, tolerance: floa
     wanted : bool array (T,)
         The frames in which it is to be placed.
     tolerance : float
-        The largest error in nine of ten frames that judge a template, in the unit of the positions.
+        The largest error in nine of ten frames in which a set of markers is tested, in the unit of the positions.
     """
     seen: Bool = np.asarray((np.abs(positions) < _FARTHEST).all(axis=1))
     positions = np.where(seen[:, None], positions, np.nan)
@@ -136,7 +137,7 @@ def placed_by_segment(positions: F64, hidden: int, wanted: Bool, tolerance: floa
 
 
 class _Template(NamedTuple):
-    """Markers, their places in the segment, the place of the hidden one, and the error of it in other frames."""
+    """Markers, their places in the axes of the segment, the place of the hidden one, and its error in other frames."""
 
     markers: I64
     shape: F64

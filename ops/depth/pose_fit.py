@@ -252,7 +252,11 @@ def add_points(body: FitBody, image: FrameImage, buffers: FitBuffers, pose: F64,
 def add_samples(
     body: FitBody, view: DepthView, image: FrameImage, buffers: FitBuffers, pose: F64, sigma: float, printed: bool
 ) -> None:
-    """Add the rows of surface samples outside the foreground, or in the printed form of all surface samples."""
+    """Add the equations that pull surface samples to image points to the normal equations.
+
+    These are the samples that project outside the foreground or, if `printed`, all visible samples, as the thesis
+    prints it.
+    """
     factor = 1.0 if printed else SILHOUETTE_WEIGHT
     root, rigid = pose[body.pivots.joints[0]], buffers.sums.rigid
     samples, seen, positions = buffers.samples, buffers.seen, buffers.positions

@@ -215,7 +215,7 @@ def _votes_with(take: I64, image: Bool, asked: Bool, i: int, j: int) -> bool:
 
 @nb.njit(cache=True, nogil=True)
 def _count_votes(take: I64, frame: I64, image: Bool, ahead: I64, asked: Bool, count: int) -> I64:
-    """Return the number of votes for each first take."""
+    """Return for each take the votes of the pairs whose first take it is; that is the one with the lower number."""
     votes = np.zeros(count, np.int64)
     for i in range(len(take)):
         for j in range(i + 1, i + 1 + ahead[i]):

@@ -32,7 +32,7 @@ NEARLY_ALL = 0.9
 """Share of the shorter take from which a common interval counts as nearly all of it."""
 
 MAX_SAMPLED_FRAMES = 256
-"""Maximum number of frames in which the shift between two frames is estimated."""
+"""Number of frames in which a shift is estimated; fewer than twice as many, as the step between them is whole."""
 
 _STEPS = 8  # steps per frame of the first search for the shift between two frames
 
@@ -156,8 +156,7 @@ def _moment(first: F32, second: F32, low: int, high: int, shift: float) -> float
 
 @njit(cache=True, nogil=True)
 def _cost(first: F32, second: F32, low: int, high: int, shift: float) -> float:
-    """Return the mean distance of poses, each clipped at `NEAR_M`, in `MAX_SAMPLED_FRAMES` frames spread over the
-    interval."""
+    """Return the mean distance of poses, clipped at `NEAR_M`, in frames that are evenly spread over an interval."""
     stride = max(1, (high - low) // MAX_SAMPLED_FRAMES)
     weights = _weights(shift)
     total, count = 0.0, 0

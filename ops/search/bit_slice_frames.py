@@ -232,7 +232,10 @@ def _move(bitmap, size, moved, follow, by):  # type: ignore[no-untyped-def]
 
 @njit(cache=True, nogil=True)
 def add_ranges(remaining, index, follow, first, ends, gaps, ranges, n):  # type: ignore[no-untyped-def]
-    """Add the segments of the first bitmap, each from its start to the farthest end of a hit that begins in it.
+    """Add the ranges of hits to a list of ranges, and unite those that overlap or touch.
+
+    Each run of set bits in the bitmap of the first keyframe gives a range, from the first frame of the run to the
+    farthest end of a hit that begins in it.
 
     Parameters
     ----------

@@ -165,7 +165,7 @@ class IngestParameters(StageParameters):
 
 
 def with_remembered(params: IngestParameters, unset: frozenset[str], store: Store) -> IngestParameters:
-    """Return the parameters of an ingest, with unset parameters taken from the source's last ingest.
+    """Return the parameters of an ingest, with unset ones, except `features`, taken from the source's last ingest.
 
     Parameters
     ----------

@@ -30,7 +30,7 @@ STAGE = "duplicates/find"
 """The stage under whose name the rows are stored."""
 
 HELD_BYTES = 512 * 2**20
-"""The size of a block of takes in bytes; the joint positions of two blocks are held in memory at a time."""
+"""The size of a block of takes in bytes, which its last take may exceed; two blocks are held in memory at a time."""
 
 CACHED_BYTES = 256 * 2**20
 """The largest size, in bytes, of the cache of poses."""
@@ -177,7 +177,7 @@ def _candidates(store: Snapshot, words: TakeWords, progress: Progress) -> list[C
 
 
 def _blocks(found: Sequence[Candidate], sizes: I64) -> Iterator[list[Candidate]]:
-    """Yield groups of alignments, each between two blocks of takes; the poses of a block have at most `HELD_BYTES`."""
+    """Yield groups of alignments, each between two blocks of takes; each block holds some `HELD_BYTES` of poses."""
     number = ((np.cumsum(sizes) - sizes) // HELD_BYTES).tolist()
 
     def blocks(one: Candidate) -> tuple[int, int]:

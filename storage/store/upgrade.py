@@ -232,7 +232,7 @@ def _known_sums(root: Path) -> dict[str, dict[str, Any]]:
 
 
 def _groups(root: Path, part: Part) -> Iterator[tuple[dict[str, Any], bool]]:
-    """Yield the named groups of each row of a part of takes, and True if the row is live."""
+    """Yield for each row of a part of takes what named groups of its path pattern matched, and True if it is live."""
     file = root / part.path
     with read_errors(file):
         table = pq.read_table(file, columns=["take_id", "groups"])
@@ -245,7 +245,7 @@ def _groups(root: Path, part: Part) -> Iterator[tuple[dict[str, Any], bool]]:
 def _group_columns(
     root: Path, manifest: Manifest, damaged: tuple[str, ...]
 ) -> tuple[dict[str, TakeColumn], tuple[Part, ...]]:
-    """Return the columns for named groups of takes, and the parts with rows that have such groups."""
+    """Return columns for the named groups of path patterns, which old rows hold as JSON, and the parts of such rows."""
     columns: dict[str, TakeColumn] = {}
     again = []
     for part in manifest.takes:

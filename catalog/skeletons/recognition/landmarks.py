@@ -177,7 +177,7 @@ class Landmarks:
     arm : dict of str to str
         Label of a set for one arm → landmark without its side.
     order : tuple of str
-        All landmarks in the order in which they choose their labels.
+        All landmarks in the order in which labels are assigned to them.
     many : frozenset of str
         Landmarks that may use all of their labels that a file has, instead of the first: clusters and the spine.
     sides : dict of str to str

@@ -24,7 +24,7 @@ CENTRES: Mapping[str, str] = _MIDDLE | {
 
 
 def skin_landmarks(landmarks: Landmarks) -> tuple[str, ...]:
-    """Return the landmarks on the skin, in the order in which they choose their labels."""
+    """Return the landmarks on the skin, in the order in which labels are assigned to them."""
     skin = {landmark for hits in landmarks.skin.values() for landmark, _ in hits}
     return tuple(landmark for landmark in dict.fromkeys(landmarks.order) if landmark in skin)
 

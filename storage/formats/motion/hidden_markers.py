@@ -17,7 +17,9 @@ _OFF = 0.012  # share of the extent of all markers, some 2 cm of a body: the lar
 
 
 class Closed(NamedTuple):
-    """The gaps of points that were closed and left, with indices into the points used, and markers placed by segments.
+    """The result of closing gaps: gaps that were closed, gaps that remain, and markers that segments have placed.
+
+    A gap gives its point by an index into the used points, those of which joints are made.
 
     Attributes
     ----------
@@ -26,8 +28,8 @@ class Closed(NamedTuple):
     left : list of Gap
         Gaps that remain.
     markers : dict of int to int64 array (T,)
-        Of each marker that its segment places, the number of markers that the segment's pose is fitted to, by frame; 0
-        where the marker is not placed.
+        Marker that its segment places → the number of markers that the pose of the segment is fitted to in each frame;
+        0 where the marker is not placed.
     """
 
     lines: list[Gap]

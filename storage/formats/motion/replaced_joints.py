@@ -1,4 +1,7 @@
-"""Find joints that other points place where their own are hidden: often, or beside where they would be."""
+"""Find joints that are computed from substitute points in frames in which their own points are hidden.
+
+A joint is reported if its substitutes are used often, or if they place it clearly beside its own points.
+"""
 
 from __future__ import annotations
 
@@ -12,20 +15,20 @@ from kinedex.catalog.skeletons.skeleton_fit import Fit, Mix
 F64 = npt.NDArray[np.float64]
 I64 = npt.NDArray[np.int64]
 
-_COMPARED = 500  # frames in which a joint is compared with where other points would place it
-_BESIDE_M = 0.02  # distance from there that is warned of
-_OFTEN = 0.1  # share of the frames from which a joint that others place counts as estimated
+_COMPARED = 500  # frames in which a joint is compared with the position that its substitutes give
+_BESIDE_M = 0.02  # distance between the two from which on there is a warning
+_OFTEN = 0.1  # share of frames with substitutes from which on a joint counts as estimated
 
 
 class ReplacedJoints(NamedTuple):
-    """The joints that other points place where their own are hidden.
+    """The joints that are computed from substitute points where their own points are hidden.
 
     Attributes
     ----------
     warnings : list of str
-        A warning on those that others place at a distance from where their own points would.
+        A warning on joints whose substitutes place them at a distance from their own points.
     estimated : dict of str to str
-        Joint → how it is estimated, for joints that others place in a tenth of the frames or more.
+        Joint → how it is estimated, for joints with substitutes in a tenth of the frames or more.
     """
 
     warnings: list[str]
@@ -33,7 +36,7 @@ class ReplacedJoints(NamedTuple):
 
 
 def replaced_joints(points: F64, fit: Fit, positions: F64, joints: tuple[str, ...], unit_m: float) -> ReplacedJoints:
-    """Find the joints that other points place where their own are hidden.
+    """Find the joints that are computed from substitute points where their own points are hidden.
 
     Parameters
     ----------
