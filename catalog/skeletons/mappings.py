@@ -184,7 +184,8 @@ class Mappings:
     def recognised(self, source: str | Path, form: Format, evidence: Evidence) -> Fit:
         """Return the fit that recognition makes, by the tree of the nodes or, without one, by their positions.
 
-        A mapping whose names a tree has but for a few, which only nodes without known names can be, is used itself.
+        If a tree lacks only a few names of a mapping, and nodes with unknown names are in their places, the mapping is
+        used instead.
 
         Raises
         ------
@@ -198,7 +199,7 @@ class Mappings:
         return recognise_tree(source, evidence, self.joints, form, self.vocabulary)
 
     def renamed(self, form: Format, evidence: Evidence, source: str | Path = "") -> Fit | None:
-        """Return the fit of a mapping of which a tree calls a few nodes otherwise; None if there is none."""
+        """Return the fit of a mapping of which a few nodes have other names in a tree; None if there is none."""
         if form in self.forced:
             return None
         return renamed_fit(
@@ -206,7 +207,7 @@ class Mappings:
         )
 
     def completed(self, fit: Fit, evidence: Evidence | None) -> Fit:
-        """Return a fit of a shipped mapping with nodes that a tree calls otherwise, if joints lack their own ones."""
+        """Return a fit of a shipped mapping in which joints that lack their own node use a node of another name."""
         if evidence is None or evidence.parents is None or not fit.fallen or not self._is_shipped(fit.mapping):
             return fit
         return renamed_fit([fit.mapping], evidence) or fit

@@ -108,9 +108,9 @@ def _lacks(mix: Mix | None, choices: Mapping[str, tuple[Mix | None, ...]]) -> bo
 
 
 def guessed_fit(asked: MappingRequest, mappings: Mappings) -> Fit | None:
-    """Return the fit of a file that nobody has named nodes of: the one that it is read by, or the best that there is.
+    """Return the fit of a file in which nobody has named nodes: that by which it is read, else the best one.
 
-    None if the file is refused, and its format has no nodes that recognition could look at.
+    The result is None if the file is refused and its format has no nodes for recognition.
     """
     if asked.fit is not None or asked.evidence is None:
         return asked.fit
@@ -165,7 +165,7 @@ def _by_labels(names: Sequence[str], landmarks: Landmarks, named: Mapping[str, s
 
 
 def _by_joints(fit: Fit | None) -> dict[str, tuple[str, str]]:
-    """Return the joint that each node is by a mapping or by a recognised tree, and the reason."""
+    """Return for each node its joint, by a mapping or by a recognised tree, and the reason."""
     if fit is None:
         return {}
     whole = {mix.node: joint for joint, mix in fit.joints.items() if mix is not None and mix.node is not None}

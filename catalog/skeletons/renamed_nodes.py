@@ -1,4 +1,4 @@
-"""Find the nodes that a skeleton mapping names and a file calls otherwise, by their places in the tree."""
+"""Find nodes of a skeleton mapping that have other names in a file, by their places in the tree."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ _MOST = 3  # names that a mapping may lack: of a renamed joint, its end, and a b
 
 
 def renamed_fit(mappings: Iterable[SkeletonMapping], evidence: Evidence) -> Fit | None:
-    """Return the fit of a mapping of which a tree lacks a few names, if nodes without known names are in their places.
+    """Return the fit of a mapping of which a tree lacks a few names, if nodes with unknown names are in their places.
 
     Parameters
     ----------
@@ -33,8 +33,8 @@ def renamed_fit(mappings: Iterable[SkeletonMapping], evidence: Evidence) -> Fit 
     Returns
     -------
     Fit or None
-        The fit that supplies the most joints, with a doubt that says which nodes were found by their places; None if
-        for every mapping a place is empty, or several nodes may be in it.
+        The fit that supplies the most joints, with a doubt that lists the nodes found by their places; None if every
+        mapping needs a node for whose place there is no candidate, or more than one.
     """
     parents, offsets = evidence.parents, evidence.offsets
     nameless = _nameless(evidence.names)
@@ -51,7 +51,7 @@ def renamed_fit(mappings: Iterable[SkeletonMapping], evidence: Evidence) -> Fit 
 
 @lru_cache(maxsize=64)  # The takes of an archive share a few skeletons.
 def _nameless(names: tuple[str, ...]) -> dict[int, bool]:
-    """Return the nodes of whose names nothing is known, each with True for an end."""
+    """Return the nodes with unknown names, each with True if it is an end."""
     vocabulary = load_vocabulary("joints")
     words = normal_names(names, vocabulary)
     return {i: name.end for i, name in enumerate(words) if not vocabulary.parts(name)}
@@ -60,7 +60,7 @@ def _nameless(names: tuple[str, ...]) -> dict[int, bool]:
 def _renamed(
     mapping: SkeletonMapping, nodes: Mapping[str, int], parents: Sequence[int], nameless: Mapping[int, bool]
 ) -> Fit | None:
-    """Return the fit of a mapping that lacks a few names; None if it lacks others, or none."""
+    """Return the fit of a mapping that lacks a few names; None if it lacks none, too many, or one that is not found."""
     plain = mapping.fit(nodes)
     needed, lacking = _lacking(plain)
     if not lacking or len(needed) > _MOST:
@@ -90,16 +90,17 @@ def _renamed(
 
 
 def _all_names(mapping: SkeletonMapping) -> set[str]:
-    """Return the nodes that a mapping needs: of the first choice of each joint, and of its bones."""
+    """Return the nodes that a mapping names: in the first choice of each joint, and for its bones."""
     mixes = [choices[0] for choices in mapping.joints.values() if choices and choices[0] is not None]
     needed = {name for mix in mixes if not mix.of_joints for name in mix.names}
     return needed.union(mapping.bones, *mapping.bones.values())
 
 
 def _lacking(fit: Fit) -> tuple[list[str], list[str]]:
-    """Return the nodes without which a mapping cannot be used, and these with those that would be better than others.
+    """Return the missing nodes without which a mapping cannot be used, and these with missing nodes that improve it.
 
-    A node is better than what is built from other joints, and than another node where the other side has it.
+    A node improves the mapping if its joint would otherwise be built from other joints, or from another node than the
+    joint of the other side.
     """
     mapping = fit.mapping
     needed: list[str] = []
@@ -118,7 +119,7 @@ def _lacking(fit: Fit) -> tuple[list[str], list[str]]:
 
 
 def _bounds(mapping: SkeletonMapping, name: str, indices: Mapping[str, int]) -> tuple[int | None, list[int]]:
-    """Return the nearest known node before a node, and the known nodes that lie beyond it, by the joints of a body."""
+    """Return the nearest known node above a node, and known nodes below it, by the order of joints in a body."""
     at = {
         joint: mix.node
         for joint, choices in mapping.joints.items()

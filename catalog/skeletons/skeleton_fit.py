@@ -183,12 +183,15 @@ class Chord(Mix):
         return np.asarray(self.out**2 * first - self.out * np.sqrt(1.0 - self.out**2) * far * across)
 
 
-_BENT = (0.1, 0.2)  # sines of the angle at a; below the first, the axis of a hinge is anywhere
+_BENT = (0.1, 0.2)  # sines of the angle at a; below the first, the axis of a hinge is not determined
 
 
 @dataclass(frozen=True)
 class Hinge(Mix):
-    """A combination whose offset is along the normal, the axis of a hinge at a, as far as the limb a, b, c is bent."""
+    """A combination whose offset is along the axis of a hinge at a, the normal of the plane of a, b and c.
+
+    In a limb that is almost straight the normal is not determined, so that the offset decreases to 0.
+    """
 
     def _offset(self, first: F64, second: F64, hand: float) -> F64:
         normal = np.cross(first, second, axis=0)
@@ -427,7 +430,7 @@ class Fit:
 
     @cached_property
     def fallen(self) -> tuple[str, ...]:
-        """Return the joints built from others, or of another node than that of the other side, for want of a node."""
+        """Return the joints whose first choice is missing, and which use other joints, or differ from the other side."""
         found = []
         for joint, mix in self.joints.items():
             first = self.mapping.joints[joint][0]

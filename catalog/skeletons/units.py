@@ -126,7 +126,7 @@ def is_likely_height(height_m: float) -> bool:
 
 
 def known_unit(unit_m: float) -> tuple[str, float]:
-    """Return name and metres of the unit of length that has about so many metres, and these if there is none."""
+    """Return name and metres of the known unit nearly as long as the given one; otherwise describe the given one."""
     known = UNITS_M | RARE_UNITS_M | FEET_M
     near = (unit for unit in known.items() if math.isclose(unit[1], unit_m, rel_tol=_ROUNDED))
     return next(near, (f"units of {unit_m:.6g} m", unit_m))
@@ -135,8 +135,8 @@ def known_unit(unit_m: float) -> tuple[str, float]:
 def contradicted_unit(positions: F64, joints: tuple[str, ...], unit_m: float) -> tuple[str, float, float] | None:
     """Return the unit in which a body has a human height; None if the stated unit may be right.
 
-    A stated unit holds if it makes a body of 0.4 to 4.1 m, or if no unit makes a human height. Besides common units,
-    10, 100 and 1000 times the stated one are tried, for files whose lengths were divided once too often.
+    A stated unit is kept if the body is 0.4 to 4.1 m high in it, or if no unit gives a human height. Besides common
+    units, 10, 100 and 1000 times the stated one are tried, for files whose lengths were converted twice.
 
     Parameters
     ----------

@@ -168,8 +168,8 @@ def _head_score(tree: Tree, at: int, child: int, line: list[int], legs: Pair) ->
 def _head_way(tree: Tree, top: int) -> tuple[int, ...]:
     """Return the nodes of neck and head: those from `top` to the first node named as head, and the end of the head.
 
-    The end is a child of that node that is an end or named as a part of the head, or the only child if nothing is known
-    of its name, if there is one. If no node is named as head, the longest path below `top` is returned.
+    The end is the first child of the head that is an end or is named as a part of the head, else an only child with an
+    unknown name; without either there is no end. If no node is named as head, the longest path below `top` is returned.
     """
     named = [node for node in tree.below(top) if "head" in tree.parts[node] and not tree.names[node].end]
     if not named:
@@ -183,7 +183,7 @@ def _head_way(tree: Tree, top: int) -> tuple[int, ...]:
 
 
 def _part(tree: Tree, pair: Pair, kind: str) -> Anatomy:
-    """Return the body of which only the legs, or only the arms, were found, with the hips near to them."""
+    """Return a body of which only the legs, or only the arms, were found, and its hips."""
     above = tree.ancestors(pair.at)
     if kind == "legs":
         return Anatomy(pair, None, _hips(tree, pair.at, pair), (), (), 2 * pair.score)
@@ -268,7 +268,7 @@ def _along(tree: Tree, legs: tuple[Limb, Limb], arms: tuple[Limb, Limb]) -> floa
 
 
 def _facing(tree: Tree, legs: tuple[Limb, Limb]) -> float:
-    """Return the mean cosine between the line from the right to the left hip and left, as feet and knees show it."""
+    """Return the mean cosine between the line from right to left hip and the left that follows from feet and knees."""
     across = _unit(tree.positions[legs[0].nodes[0]] - tree.positions[legs[1].nodes[0]])
     total, weight = 0.0, 0.0
     for leg in legs:

@@ -1,8 +1,8 @@
 """Find labels of a body's points that seem to be exchanged, by comparing left with right and front with back.
 
 A body with two labels exchanged is still a body, so that proportions alone do not show it. Points of one side are
-compared with those of the other, points in the middle with both, and the direction in which the sides say that the body
-faces with that of toes, pelvis, thorax and face.
+compared with those of the other, and points in the middle with both. The facing direction that follows from left and
+right is compared with that of toes, pelvis, thorax and face.
 """
 
 from __future__ import annotations
@@ -121,7 +121,7 @@ def _apart(a: F64, b: F64) -> F64:
 
 
 def _usual(values: F64) -> float:
-    """Return the median of the finite values; NaN if fewer than a quarter are, as single frames may be any posture."""
+    """Return the median of the finite values; NaN if fewer than a quarter are finite, as these may be odd postures."""
     return median_of(values) if 4 * np.count_nonzero(np.isfinite(values)) >= len(values) else float("nan")
 
 

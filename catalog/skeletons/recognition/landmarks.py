@@ -158,7 +158,7 @@ class Reading:
         return sum(map(len, self.labels.values())) + len(self.arm)
 
     def with_arm(self, side: str) -> Reading:
-        """Return the landmarks with those of the arm of unknown side on a side, "l" or "r"."""
+        """Return the landmarks, with those of an arm of unknown side assigned to a side, "l" or "r"."""
         sided = {f"{side}{landmark}": (label,) for landmark, label in self.arm.items()}
         return Reading(self.labels | sided, self.skin, self.unread, self.sets)
 
@@ -207,7 +207,7 @@ class Landmarks:
     _readings: dict[tuple[str, ...], Reading] = field(default_factory=dict, init=False, repr=False)
 
     def read(self, labels: Sequence[str]) -> Reading:
-        """Return the landmarks that labels name, without the prefix or the ending that hides most of them."""
+        """Return the landmarks that labels name, with the common prefix and ending removed by which most become known."""
         known = self._readings.get(tuple(labels))
         if known is not None:
             return known
@@ -331,7 +331,7 @@ class Landmarks:
         return mixes
 
     def _corner(self, name: str, labels: Mapping[str, tuple[str, ...]], sets: Sequence[str]) -> list[Mix]:
-        """Return the combination of a corner of a plane, such as `joint lhip` or `point lgrip`; empty without any."""
+        """Return the mix for a corner of a plane, such as `joint lhip` or `point lgrip`; empty if there is none."""
         kind, _, part = name.partition(" ")
         if kind == "joint":
             return list(self.mixes(part, labels, sets))[:1]

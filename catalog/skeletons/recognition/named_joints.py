@@ -159,7 +159,7 @@ def _add_trunk(found: JointMixes, tree: Tree, body: Anatomy, sides: Sides) -> No
 
 
 def _named_on_spine(tree: Tree, line: Sequence[int], lengths: Sequence[float], joint: str, whole: float) -> int | None:
-    """Return the only node on the spine with a name of the joint, if it lies about there."""
+    """Return the only node on the spine with a name of the joint, if it lies in the usual part of the spine."""
     words, (low, high) = _SPINE_NAMES[joint]
     named = [i for i, node in enumerate(line) if words & {*tree.names[node].words[-1:]} and "spine" in tree.parts[node]]
     share = sum(lengths[: named[0]]) / (sum(lengths) * whole) if named else 0.0
@@ -274,9 +274,9 @@ def _add_fingers(found: JointMixes, tree: Tree, side: str, arm: Limb) -> None:
 
 
 def _knuckles(tree: Tree, nodes: Sequence[int], wrist: int, forearm: float) -> list[int]:
-    """Return the knuckle of the middle finger, which is in the middle of the row, among fingers without names.
+    """Return the knuckle of the middle finger among nodes of fingers, by its place in the middle of the row.
 
-    The nodes themselves are returned where there are fewer than three fingers.
+    If there are fewer than three fingers, the given nodes are returned, or none if the first has an unknown name.
     """
     far = {node: tree.distance(wrist, node) for node in nodes}
     long = [node for node in nodes if far[node] > 0.22 * forearm]

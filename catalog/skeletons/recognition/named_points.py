@@ -59,12 +59,12 @@ def check_names(
 
 
 def named_reading(reading: Reading, landmarks: Landmarks, named: Mapping[str, str]) -> Reading:
-    """Return the landmarks that labels name, with those of a person in place of them.
+    """Return the landmarks of a file, in which the names that a person has given replace those of labels.
 
     Parameters
     ----------
     reading : Reading
-        The landmarks that labels name by themselves.
+        The landmarks by the labels alone.
     landmarks : Landmarks
         The vocabulary.
     named : mapping of str to str
@@ -90,7 +90,7 @@ def named_reading(reading: Reading, landmarks: Landmarks, named: Mapping[str, st
 
 
 def set_named_joints(draft: BodyDraft, named: Mapping[str, str], joints: Sequence[str]) -> None:
-    """Place the joints that a person has named at their points, in place of what was found for them."""
+    """Place the joints that a person has named at their points, and discard other estimates of them."""
     for label, name in named.items():
         if name in joints:
             draft.joints[name] = [one_point(label)]

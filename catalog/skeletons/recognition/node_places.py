@@ -1,7 +1,8 @@
 """Read the names of nodes together with their places in the tree, which correct names that are wrong or say nothing.
 
-A tree says more than its names: a node between two nodes of the left side is on the left, a twist joint on the way to a
-joint of the same name is no joint of its own, and a node without a known name is what its partner on the other side is.
+The tree shows more than the names: a node between two nodes of the left side is on the left, a twist joint before a
+joint of the same name is no joint of its own, and a node with an unknown name is the same part as its partner on the
+other side.
 """
 
 from __future__ import annotations
@@ -25,9 +26,10 @@ def other_side(side: Side) -> Side:
 
 
 def exchanged_names(names: Sequence[str], parents: Sequence[int]) -> tuple[tuple[int, int], ...]:
-    """Return the pairs of nodes that have each other's name: every other named node of their branches is of one side.
+    """Return the pairs of nodes with exchanged names, because each lies in a branch of the other side.
 
-    Names of the sides of a whole body, or of whole branches, that are exchanged contradict nothing and stay.
+    At least two nodes above and below each must be named for the other side, and more than twice as many as for its
+    own. If left and right of a whole branch are exchanged, no names contradict each other, and none are returned.
 
     Parameters
     ----------
@@ -59,7 +61,7 @@ def _exchanged(names: tuple[str, ...], parents: tuple[int, ...]) -> tuple[tuple[
 
 
 def _beside(words: Sequence[NodeName], parents: Sequence[int], sites: Sequence[bool], side: Side) -> list[int]:
-    """Return for each node the number of nodes above and below it whose name states a side, without End Sites."""
+    """Return for each node the number of nodes above and below it that are named for a side, without End Sites."""
     own = [name.side == side and not site for name, site in zip(words, sites, strict=True)]
     above, below = [0] * len(words), [0] * len(words)
     for i, parent in enumerate(parents):
@@ -72,7 +74,7 @@ def _beside(words: Sequence[NodeName], parents: Sequence[int], sites: Sequence[b
 
 
 def with_exchanged(names: Sequence[str], pairs: Sequence[tuple[int, int]]) -> tuple[str, ...]:
-    """Return names with those of each pair exchanged, and those of their ends, which are called by them."""
+    """Return names with those of each pair exchanged, and those of End Sites, which contain the name of their node."""
     found = list(names)
     for a, b in pairs:
         one, other = names[a], names[b]
@@ -85,7 +87,7 @@ def with_exchanged(names: Sequence[str], pairs: Sequence[tuple[int, int]]) -> tu
 
 
 def exchange_warning(names: Sequence[str], pairs: Sequence[tuple[int, int]]) -> list[str]:
-    """Return a warning on pairs of nodes that are read with each other's name; empty without any."""
+    """Return a warning on pairs of nodes that are read with each other's name; empty if there are none."""
     if not pairs:
         return []
     shown = ", ".join(f"'{names[a]}' and '{names[b]}'" for a, b in pairs)
@@ -93,7 +95,7 @@ def exchange_warning(names: Sequence[str], pairs: Sequence[tuple[int, int]]) -> 
 
 
 def twist_nodes(names: Sequence[str], parents: Sequence[int]) -> frozenset[int]:
-    """Return the nodes that only divide a bone: named as the twist of their only child, as `NeckTwist` before `Neck`.
+    """Return the nodes that only divide a bone: each is named as the twist of its only child, as `NeckTwist` of `Neck`.
 
     Parameters
     ----------
@@ -116,10 +118,10 @@ def twist_nodes(names: Sequence[str], parents: Sequence[int]) -> frozenset[int]:
 def placed_names(
     names: tuple[NodeName, ...], parents: Sequence[int], children: Sequence[Sequence[int]], vocabulary: Vocabulary
 ) -> tuple[NodeName, ...]:
-    """Return names in which a node without a known one has that of its partner on the other side, or of its place.
+    """Return names in which unknown ones are replaced: by that of the partner on the other side, or by neck.
 
-    A node is the partner of the only other node whose own partner is missing, below the same node or below partners.
-    A node between the trunk, where the arms begin, and the head is a neck.
+    The partner of a node with an unknown name is the only named node, below the same parent or the parent's partner,
+    that has no partner yet. A node between the place where the arms begin and the head is a neck.
 
     Parameters
     ----------
@@ -146,7 +148,7 @@ def placed_names(
 def _name_partners(
     found: list[NodeName], known: list[bool], children: Sequence[Sequence[int]], parents: Sequence[int]
 ) -> None:
-    """Give nodes without a known name the names of their partners, from the roots down, in place."""
+    """Give nodes with unknown names the names of their partners, from the roots down, in place."""
     waiting = [(i, i) for i, parent in enumerate(parents) if parent < 0]
     while waiting:
         one, other = waiting.pop()
@@ -183,7 +185,7 @@ def _apart(a: int, b: int, siblings: Sequence[int]) -> bool:
 def _is_neck(
     names: Sequence[NodeName], at: int, parents: Sequence[int], children: Sequence[Sequence[int]], known: Vocabulary
 ) -> bool:
-    """Return whether a node leads to the head, or to another neck, from where the arms begin."""
+    """Return whether a node begins beside the arms and leads to the head or to another neck."""
     up = [{*known.parts(names[child])} for child in children[at]]
     beside = {names[i].side for i in children[parents[at]] if {*known.parts(names[i])} & _ARMS}
     return len(up) == 1 and bool(up[0] & {"head", "neck"}) and "helper" not in up[0] and beside >= {"l", "r"}

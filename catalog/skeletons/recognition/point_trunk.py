@@ -98,7 +98,7 @@ def blend(a: Mix, b: Mix, share: float) -> Mix:
 
 
 def median_of(values: F64) -> float:
-    """Return the median of the finite values; NaN without any."""
+    """Return the median of the finite values; NaN if there are none."""
     ordered = np.sort(values[np.isfinite(values)])
     count = len(ordered)
     return float(ordered[(count - 1) // 2] + ordered[count // 2]) / 2 if count else float("nan")

@@ -1,8 +1,8 @@
 """Read motion files (Acclaim, BVH, C3D, AMASS, joint positions) as bodies, and write them from takes.
 
 `reader` defines what each reader offers and returns, and `reader_table` finds the reader of a file. Each format has a
-module of its name with its reader; a format that is long to parse has further ones that begin with its name. What
-readers share stands once, by the kind of motion that a file holds:
+module of its name with its reader; a format that is long to parse has further ones that begin with its name. Readers
+of the same kind of motion share modules:
 
 - channels of a skeleton's joints (`acclaim`, `bvh`): `text_blocks` reads the text, `mapped_body` makes the body;
 - points, such as joints and markers (`c3d`, `positions`, `motive`, `nexus`, `qualisys`, `keypoint_json`,

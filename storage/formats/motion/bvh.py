@@ -221,7 +221,7 @@ def _fitted(bvh: _Motion, name: str, mappings: Mappings, joints: tuple[str, ...]
 
 
 def _repaired(person: Person) -> tuple[Person, tuple[str, ...], LostBones | None]:
-    """Return a figure without names on the wrong side or lost bones, warnings on the names, and the bones."""
+    """Return a figure with corrected names and estimated lost bones, warnings on the names, and the lost bones."""
     nodes, doubts, lost = _repairs(person.nodes)
     if nodes is person.nodes:
         return person, doubts, lost
@@ -235,7 +235,7 @@ def _repaired(person: Person) -> tuple[Person, tuple[str, ...], LostBones | None
 def _repairs(
     nodes: tuple[kinematics.Node, ...],
 ) -> tuple[tuple[kinematics.Node, ...], tuple[str, ...], LostBones | None]:
-    """Return nodes with exchanged names put right and offsets for lost bones, warnings on the names, and the bones."""
+    """Return nodes with corrected names and offsets of lost bones, warnings on the names, and the lost bones."""
     names, parents = [node.name for node in nodes], [node.parent for node in nodes]
     pairs = exchanged_names(names, parents)
     doubts = tuple(exchange_warning(names, pairs))
@@ -256,14 +256,14 @@ def _repairs(
 
 
 def _root_columns(file: BvhFile, nodes: Sequence[kinematics.Node]) -> list[int]:
-    """Return the columns that place the root of a figure; empty if many other nodes have positions of their own."""
+    """Return the position columns of a figure's root; empty if many other nodes have position channels, too."""
     if file.position_channels > _FEW_POSITIONS:
         return []
     return [step.column for step in nodes[0].steps if step.kind >= kinematics.MOVE_X]
 
 
 class _Rescaled:
-    """A motion whose root moves by a factor."""
+    """A motion whose root positions are multiplied by a factor."""
 
     def __init__(self, motion: _Motion, columns: list[int], factor: float) -> None:
         self.motion, self.columns, self.factor = motion, columns, factor
@@ -325,8 +325,8 @@ def _one_root(file: MotionFile) -> bool:
 def _offsets_apart(motion: _Motion) -> frozenset[int]:
     """Return the nodes whose position channels are added to their OFFSET instead of replacing it.
 
-    A node is one if its position channels stay near 0. Unless most nodes with an OFFSET and position channels are such,
-    the result is empty.
+    These are the nodes whose position channels stay near 0. The result is empty unless they are most of the nodes with
+    an OFFSET and position channels.
     """
     nodes, offsets = motion.file.nodes, motion.file.offsets
     lengths = np.sqrt((offsets * offsets).sum(axis=1)).tolist()

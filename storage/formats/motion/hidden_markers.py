@@ -82,7 +82,7 @@ def _straight(positions: F64, used: Sequence[int], longest: int) -> tuple[list[G
 
 
 def _by_segments(positions: F64, names: Sequence[str], gaps: Iterable[Gap], used: Sequence[int]) -> dict[int, I64]:
-    """Fill gaps of markers in place by the poses of their segments, as far as three other markers of these are seen."""
+    """Fill gaps of markers in place by the poses of their segments, where three other markers of a segment are seen."""
     segments = marker_segments(names)
     hidden: dict[int, list[Gap]] = {}
     for gap in gaps:
@@ -100,7 +100,7 @@ def _by_segments(positions: F64, names: Sequence[str], gaps: Iterable[Gap], used
 def _placed(
     positions: F64, marker: int, gaps: Iterable[Gap], segments: dict[str, list[int]], tolerance: float
 ) -> tuple[F64, I64]:
-    """Return a marker (3, T) as its segments place it in its gaps, the first that can, and the numbers of markers."""
+    """Return a marker (3, T) with gaps filled by the first segment that can, and the numbers of markers used."""
     track, counts = positions[marker].copy(), np.zeros(positions.shape[2], np.int64)
     wanted = np.zeros(positions.shape[2], np.bool_)
     for gap in gaps:

@@ -42,7 +42,7 @@ class HumanMlReader(PointsReader):
         return kind.kind == "f" and (shape[1:] == (FEATURES,) or shape[1:] == (len(BODY), 3)) and shape[0] > 0
 
     def size(self, file: MotionFile) -> tuple[int, int, int]:
-        """Return frames and points by the header, and the memory of the numbers."""
+        """Return the numbers of frames and points by the header, and the memory in bytes for reading."""
         shape, kind = array_shapes(file.path)[""]
         numbers = int(np.prod(shape))
         return shape[0], len(BODY), numbers * (kind.itemsize + 8) + 400 * shape[0]

@@ -254,7 +254,7 @@ class KeypointReader(PointsReader):
         return found if len(found) > 1 else ()
 
     def size(self, file: MotionFile) -> tuple[int, int, int]:
-        """Return the number of files (each is a frame), 0 for the unknown points, and the bytes of memory for reading."""
+        """Return the number of files, each a frame, 0 for the unknown points, and the memory for reading in bytes."""
         files = sequence_of(file.path, beginning(file.path)) or (file.path,)
         return len(files), 0, _PER_BYTE * max(file_size(path) for path in files) + 4000 * len(files)
 

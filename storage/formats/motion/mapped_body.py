@@ -294,7 +294,7 @@ def _guessed_unit(
     warnings: list[str],
     evidence: list[str],
 ) -> float:
-    """Return the metres of the unit that the size of the body suggests, or of the session's where that is doubtful."""
+    """Return the metres of the unit that gives a human height or, if that is doubtful, of the session's unit."""
     name, unit_m, height = guess_unit(path, positions, joints)
     rival = rival_unit(unit_m, height)
     if rival is not None or name in FEET_M or not ADULT_M <= height <= HUMAN_M[1]:
@@ -316,7 +316,7 @@ def _guessed_unit(
 
 
 def _session_unit(positions: F64, joints: tuple[str, ...], stated: UnitStatement) -> tuple[str, float, float] | None:
-    """Return name, metres and height by the unit of the other files of the folder; None for an unlikely height."""
+    """Return name and metres of the unit of the folder's other files, and the height in it; None if it is unlikely."""
     height = body_height(positions, joints)
     if stated.session_m is None or height is None:
         return None

@@ -163,7 +163,7 @@ def _namesakes(motion: SourceFile, folder: SkeletonFolder) -> list[SourceFile]:
 
 
 def _only_one(motion: SourceFile, folder: SkeletonFolder, path: str) -> list[SourceFile]:
-    """Return the only skeleton of a folder if its name is that of the folder, or of no subject; else an empty list."""
+    """Return the only skeleton of a folder if its name is that of the folder, or names no subject; else nothing."""
     if len(folder.files) != 1:
         return []
     own, named = name_parts(motion.stem), name_parts(folder.files[0].stem)

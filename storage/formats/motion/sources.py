@@ -256,7 +256,7 @@ class _Entry(NamedTuple):
 
 
 def _with_members(root: Path, refused: list[UnreadableFile], passed: list[SkippedFile]) -> Iterator[_Entry]:
-    """Yield all files below the root, in place of archives those that they hold; collect what cannot be listed."""
+    """Yield all files below the root, and the files in archives instead of these; collect what cannot be listed."""
     above = len(os.path.join(root, ""))
     for folder, name in _entries(root, refused):
         place = os.path.join(folder, name)
