@@ -430,7 +430,7 @@ class Fit:
 
     @cached_property
     def fallen(self) -> tuple[str, ...]:
-        """Return the joints whose first choice is missing, and which use other joints, or differ from the other side."""
+        """Return the joints that lack their first choice, and use other joints or differ from the other side."""
         found = []
         for joint, mix in self.joints.items():
             first = self.mapping.joints[joint][0]

@@ -207,7 +207,7 @@ class Landmarks:
     _readings: dict[tuple[str, ...], Reading] = field(default_factory=dict, init=False, repr=False)
 
     def read(self, labels: Sequence[str]) -> Reading:
-        """Return the landmarks that labels name, with the common prefix and ending removed by which most become known."""
+        """Return the landmarks that labels name, without a common prefix and ending if more are known without them."""
         known = self._readings.get(tuple(labels))
         if known is not None:
             return known
