@@ -43,13 +43,13 @@ _SAME_BODY, _OTHER_BODY = 1.05, 1.1
 """Ratios of heights within which a session has one body, and beyond which a take of it has another."""
 
 _ANY_BODIES = 1.8
-"""The ratio of heights that lies between the tallest and the smallest person of a session of several, and no more."""
+"""The largest ratio of a height to the median of a session of several persons, up to which it is not doubted."""
 
 _SAME_RATE = 0.01
 _SAME_LIMB, _OTHER_LIMB = 1.08, 1.25
 _SAME_TEMPO, _OTHER_TEMPO, _OTHER_SPEED = 1.35, 1.8, 1.4
-"""Ratios of tempo within which motions are of one kind, and of tempo and speed that only a wrong rate makes of them; no
-take of HDM05, CMU and Bandai is beyond both."""
+"""The ratio of tempo within which motions are of one kind, and the ratios of tempo and of speed that only a wrong rate
+explains; no take of HDM05, CMU and Bandai is beyond both."""
 
 _LIMBS = {"thigh": "thighs", "shank": "shanks", "upper_arm": "upper arms", "forearm": "forearms"}
 
@@ -116,9 +116,10 @@ def refused_row(take_id: int, place: tuple[str, str, str], recipe: str) -> Row:
 
 
 def decided_recipes(rows: Iterable[Row]) -> dict[int, str]:
-    """Return take id → new recipe of the takes that other takes of their session decide otherwise than before.
+    """Return take id → new recipe of the undecided takes for which the session's other takes now imply other settings.
 
-    The other takes decide if they are sure and agree, be it a single one, such as the static trial beside a motion.
+    Only takes that are sure of a setting decide on it, and all or nearly all of them must agree. A single one suffices,
+    such as a static trial in the folder of a motion.
 
     Parameters
     ----------
@@ -233,7 +234,7 @@ def _axes(takes: Sequence[Row]) -> Iterator[tuple[int, str]]:
 
 
 def _estimates(takes: Sequence[Row]) -> Iterator[tuple[int, str]]:
-    """Yield the takes in which joints are estimated that the other files of the session hold."""
+    """Yield the takes in which joints are estimated, although the other files of the session have them."""
     known = [row for row in takes if row.get("estimated_joints") is not None]
     counts = Counter(joint for row in known for joint in row["estimated_joints"].split())
     held = {joint for joint, count in counts.items() if _is_agreed(len(known) - count, len(known))}
@@ -290,7 +291,7 @@ def _bodies(takes: Sequence[Row]) -> Iterator[tuple[int, str]]:
 
 
 def _tempos(takes: Sequence[Row]) -> Iterator[tuple[int, str]]:
-    """Yield each take whose tempo and speed differ from the medians as repetitions would not, with a warning."""
+    """Yield takes whose tempo and speed both differ more from the medians than those of repetitions, with a warning."""
     tempos, speeds = _values(takes, "tempo_hz"), _values(takes, "speed_m_s")
     tempo, speed = _typical(tempos.values(), _SAME_TEMPO), _typical(speeds.values(), _OTHER_SPEED)
     for take, value in tempos.items() if tempo.is_clear and speed.is_clear else ():

@@ -142,7 +142,7 @@ def _mappings(store: Store, params: IngestParameters, own: OwnFile | None = None
 
 
 def _skeleton(file: _File) -> Path | None:
-    """Return the ASF that the settings of a source give an AMC file; None if its name tells."""
+    """Return the ASF file that the settings of a source assign to an AMC file; None if they assign none."""
     if not file.params.skeleton_files or file.path.suffix.lower() != ".amc":
         return None
     found = scan(file.params.source)

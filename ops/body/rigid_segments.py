@@ -47,7 +47,7 @@ class Placed(NamedTuple):
 
 
 def fit_poses(template: F64, positions: F64) -> Poses:
-    """Return the poses by which a template fits markers best, the least squares of their distances.
+    """Return the poses in which a template fits markers best, by the sum of squared distances.
 
     Parameters
     ----------
@@ -146,7 +146,7 @@ class _Template(NamedTuple):
 
 
 def _distance_spread(positions: F64, hidden: int) -> F64:
-    """Return the standard deviation of the distance between each marker and the hidden one; infinite without any."""
+    """Return the standard deviation of the distance between each marker and the hidden one; infinite if never seen."""
     away = np.linalg.norm(positions - positions[hidden], axis=1)
     known = np.isfinite(away)
     counts = known.sum(axis=1)
@@ -156,7 +156,7 @@ def _distance_spread(positions: F64, hidden: int) -> F64:
 
 
 def _good_template(positions: F64, hidden: int, own: Bool, there: I64, tolerance: float) -> _Template | None:
-    """Return the template of all markers that are seen, else of the steadiest ones, whose error is within limits."""
+    """Return the template of all given markers or, if its error is too large, of the first few; None if none fits."""
     for count in dict.fromkeys((len(there), *(n for n in _NEAREST if n < len(there)))):
         made = _template(positions, hidden, own, there[:count]) if count >= MIN_MARKERS else None
         if made is not None and made.error <= tolerance:
@@ -181,7 +181,7 @@ def _template(positions: F64, hidden: int, own: Bool, markers: I64) -> _Template
 
 
 def _between_ends(positions: F64, hidden: int, own: Bool, template: _Template, frames: I64) -> F64:
-    """Return the hidden marker (3, n) in frames, its place in the segment being that at the ends of its gap."""
+    """Return the hidden marker (3, n) in frames; its place in the segment is interpolated between the ends of gaps."""
     known = np.flatnonzero(own & np.isfinite(positions[template.markers]).all(axis=(0, 1)))
     after = np.searchsorted(known, frames)
     ends = np.unique(np.concatenate([known[np.maximum(after - 1, 0)], known[np.minimum(after, len(known) - 1)]]))

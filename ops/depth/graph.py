@@ -49,7 +49,7 @@ FORWARD = 4
 PERSON_POINTS, APART_M = 500, 0.3
 """Two components with more points than the first, and farther apart in metres than the second, are two people."""
 
-_SAMPLE = 400  # most points of a component between which distances are measured
+_SAMPLE = 400  # points of a component, up to twice as many, between which distances are measured
 
 
 class LinkBuffers(NamedTuple):
@@ -419,7 +419,7 @@ def build_graph(cloud: FrameCloud, threshold: float = EDGE_M, buffers: GraphBuff
 
 @njit(cache=True, nogil=True)
 def _depth_step(pixels: I32, depth: F32, counts: I64) -> float:
-    """Return the `STEP_SHARE` quantile of depth differences of horizontal neighbours, in metres; 0 without any."""
+    """Return the `STEP_SHARE` quantile of depth steps between horizontal neighbours, in metres; 0 if there are none."""
     total = 0
     for i in range(len(pixels) - 1):
         u, v = pixels[i, 0], pixels[i, 1]

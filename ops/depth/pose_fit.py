@@ -319,7 +319,7 @@ class PoseCost(NamedTuple):
     extrema : float
         Mean distance of the geodesic extrema from the surface (8.8).
     points : float
-        Twice the mean distance of sampled points from the surface; 0 in the printed form.
+        Twice the mean distance of sampled points from the surface; 0 if the form is "printed".
     """
 
     total: float

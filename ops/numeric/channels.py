@@ -98,7 +98,7 @@ def channels(positions: F64, joints: Sequence[str], rate_hz: float) -> Channels:
 
 
 def running_mean(values: F64, frames: float) -> F64:
-    """Return the mean of an odd number of values around each; the first and the last value go on beyond the ends.
+    """Return the mean of an odd number of values around each; the first and the last value are repeated at the ends.
 
     Parameters
     ----------
@@ -135,7 +135,7 @@ def _along_heading(vectors: F64, yaw: F64) -> F64:
 
 
 def _heading(positions: F64, place: dict[str, int]) -> F64:
-    """Return the heading of each frame without jumps of 2π; where hips and shoulders lie on a vertical, it goes on."""
+    """Return the heading of each frame without jumps of 2π; it is kept where it is not determined."""
     left, right = ([place[side + name] for name in ("hip", "shoulder")] for side in "lr")
     yaw = facing_yaw(positions[:, left], positions[:, right])
     known = np.flatnonzero(np.isfinite(yaw))

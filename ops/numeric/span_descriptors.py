@@ -1,8 +1,8 @@
 """This module describes spans of a take by pooled numbers, each at the cost of a difference of two sums.
 
 A descriptor has the means and deviations of poses, of logarithms of speeds, and of the root's channels; the net turn,
-with and without its sign; the way aside and forwards; and the logarithm of the duration. A tenth of a second at either
-end counts for the duration only, as smoothing there reaches across a cut.
+with and without its sign; the displacement sideways and forwards; and the logarithm of the duration. A tenth of a
+second at either end counts for the duration only, as smoothing there reaches across a cut.
 """
 
 from __future__ import annotations

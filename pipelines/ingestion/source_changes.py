@@ -82,7 +82,7 @@ class SourceChanges:
     recipes : dict of str to str
         Path → recipe of the files.
     undecided : list of Task
-        Unchanged files whose axis or rate other files of their folders may decide otherwise than before.
+        Unchanged files whose axis or rate may change, because other files of their folders decide it.
     """
 
     tasks: list[Task]
