@@ -146,7 +146,7 @@ def decided_recipes(rows: Iterable[Row]) -> dict[int, str]:
 
 
 def decisions_in(recipe: str) -> dict[str, Any]:
-    """Return the settings of `ReadSettings` that the session of a take has decided, which follow its recipe's hash."""
+    """Return the settings of `ReadSettings` that the session of a take has decided, as JSON in its recipe."""
     text = recipe.partition(" ")[2]
     return dict(json.loads(text)) if text else {}
 

@@ -228,7 +228,7 @@ def _proposal(store: Store, file: _File, asked: MappingRequest) -> str:
 
 
 def trial(archive: Archive, asked: MappingRequest, _request: Request) -> dict[str, Any]:
-    """Return the body of a file by a mapping that is not kept yet, beside the takes of the same folder."""
+    """Return the body of a file by a mapping that is not kept yet, compared with the takes of the same folder."""
     store = archive.store()
     file = _known_file(store, asked.file)
     text = _proposal(store, file, asked)

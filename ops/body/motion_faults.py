@@ -274,7 +274,7 @@ def _angle(chord: float) -> float:
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def _jitter(positions: F64, valid: Bool, lag: int) -> float:
-    """Return the median norm of the third difference over a lag, from at most about 2,000 samples."""
+    """Return the median norm of the third difference over a lag, from all samples or 2,000 to 4,000 of them."""
     joints, _, frames = positions.shape
     stride = max(1, (frames - 3 * lag) * joints // 2000)
     found = np.empty(max((frames - 3 * lag) * joints // stride + 1, 1))

@@ -28,8 +28,8 @@ def least_frames(min_seconds: float, rate_hz: float) -> int:
 class MethodParameters(BaseModel):
     """The parameters of an annotation method, for the stage `annotate` and for comparisons of methods.
 
-    A field that changes segments must become part of the `Annotator` (`Preparation.annotator`): its hash decides which
-    takes are annotated again; where it acts elsewhere, unchanged takes keep the segments of its former value.
+    Every field that changes segments must be a part of the `Annotator` (`Preparation.annotator`), whose hash decides
+    which takes are annotated again. Otherwise takes would keep the segments of an earlier value of the field.
     """
 
     model_config = ConfigDict(extra="forbid")
