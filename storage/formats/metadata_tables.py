@@ -146,7 +146,7 @@ def _checked(path: str | Path, columns: Iterable[str], line: int | None) -> list
         if not name:
             raise SourceError(path, f"column {number} has no name", line=line)
         if name.lower() in seen:
-            raise SourceError(path, f"has two columns '{name}'; capital letters do not distinguish them", line=line)
+            raise SourceError(path, f"has two columns '{name}' (letter case does not count); rename one", line=line)
         seen[name.lower()] = name
     if len(seen) > MAX_COLUMNS:
         raise SourceError(path, f"has {len(seen):,} columns; tables of metadata have at most {MAX_COLUMNS}", line=line)

@@ -315,5 +315,5 @@ class _Document:
             raise self._error(f"<{name}> must be numbers: {str(fault)[:100]}") from None
         # comparisons with NaN are false
         if not all(abs(number) < 1e12 for number in numbers):
-            raise self._error(f"<{name}> has numbers that are none, infinite, or beyond 1e12")
+            raise self._error(f"<{name}> has numbers that are NaN, infinite or beyond 1e12")
         return numbers

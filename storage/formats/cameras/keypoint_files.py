@@ -215,8 +215,9 @@ def _columns(seen: Sequence[SeenPersons], choice: KeypointSet | None) -> tuple[K
         table = seen[0].path.suffix.lower() in TABLES  # the last keypoints may be missing in all persons
         if not (len(choice.order) == count or (table and count < len(choice.order))):
             raise SourceError(
-                seen[0].path, f"has {count} keypoints of a person, and the set '{choice.name}' {len(choice.order)}"
-            )
+                seen[0].path, f"has {count} keypoints of a person, and the set '{choice.name}' {len(choice.order)}; "
+                "give the set of these files as `keypoint_set`",
+            )  # fmt: skip
         return choice, choice.order
     known_sets = keypoint_sets_by_count()
     sets = known_sets.get(count, ())

@@ -71,7 +71,7 @@ class NpzFrames:
             self._block = (number // each, self._unpack(number // each * each * size, each * size))
         data = self._block[1][number % each * size : (number % each + 1) * size]
         if len(data) < size:
-            raise SourceError(self.path, f"'{_ARRAY}' is cut off or damaged at frame {number}")
+            raise SourceError(self.path, f"'{_ARRAY}' is cut off or damaged at frame {number}; copy the file again")
         image = np.frombuffer(data, self.kind).reshape(height, width)
         if image.dtype.kind == "f":
             image = image * self.unit_m
@@ -174,7 +174,7 @@ def _layout(path: Path) -> tuple[tuple[int, int, int], str, int]:
     except SourceError:
         raise
     except Exception as fault:  # NumPy, zipfile and zlib raise many classes of errors for damaged data
-        raise SourceError(path, f"cannot be read as NumPy arrays: {str(fault)[:200]}") from None
+        raise SourceError(path, f"cannot be read as NumPy arrays: {str(fault)[:200]}; is the file cut off?") from None
     if dtype.kind not in "iuf" or len(shape) != 3 or min(shape) < 1:
         raise SourceError(
             path, f"'{_ARRAY}' must be integers in units or floats in metres of shape (frames, height, width), got "

@@ -166,7 +166,7 @@ def _compressed(path: Path, header: _PcdHeader, data: bytes) -> F64:
     """Return the points of compressed data, in which all values of a field come before those of the next."""
     positions, record = _places(path, header), sum(header.sizes)
     if len(data) < header.start + 8:
-        raise SourceError(path, "is cut off after its header")
+        raise SourceError(path, "is cut off after its header; copy or export it again")
     packed, unpacked = struct.unpack_from("<II", data, header.start)
     _check_bytes(path, packed, data, header.start + 8)
     if unpacked != header.points * record or unpacked > MAX_BYTES:

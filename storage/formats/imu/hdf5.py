@@ -119,7 +119,8 @@ def hdf5_arrays(path: Path, contents: Hdf5Contents, names: Sequence[str]) -> lis
             raise SourceError(path, f"data set '{name}' must hold numbers")
         size += 8 * prod(dataset.shape)
     if size > MAX_BYTES:
-        raise SourceError(path, f"has {size / 1e9:.1f} GB in its data sets, and {MAX_BYTES / 1e9:.1f} GB are read")
+        most = f"{MAX_BYTES / 1e9:.1f} GB"
+        raise SourceError(path, f"has {size / 1e9:.1f} GB in its data sets; divide it into files of at most {most}")
     try:
         with np.load(io.BytesIO(_run(path, tuple(names))), allow_pickle=False) as packed:
             found = [packed[str(i)] for i in range(len(names))]
@@ -169,7 +170,7 @@ def _run(path: Path, names: tuple[str, ...]) -> bytes:
     except subprocess.TimeoutExpired:
         raise SourceError(path, f"is damaged: it was not read in {patience:.0f} s") from None
     except (OSError, ValueError) as fault:
-        raise SourceError(path, f"cannot be read: {fault}") from None
+        raise SourceError(path, f"cannot be read by a process with h5py, which did not start: {fault}") from None
     if done.returncode:
         lines = done.stderr.decode("utf-8", "replace").strip().splitlines()
         reason = lines[-1] if done.returncode == 1 and lines else "the HDF5 library ends on it"
@@ -306,7 +307,7 @@ def _by_columns(path: Path, contents: Hdf5Contents, given: UserStatements) -> li
                 parts.append((name, column))
     layout = layout_of(path, header, given)
     if layout.sensor is not None:
-        raise SourceError(path, "has a column of sensors; in HDF5 files each sensor has separate data sets")
+        raise SourceError(path, "has a column of sensors; in HDF5 files, write separate data sets for each sensor")
     names = list(dict.fromkeys(parts[place][0] for place in layout.columns()))
     lengths = {name: contents.datasets[name].shape[0] for name in names}
     if len(set(lengths.values())) > 1 or max(lengths.values()) > MAX_ROWS:

@@ -158,7 +158,10 @@ class _Table:
                 self.path, f"has {len(cells)} cells, and the header has {count}; is the line cut off?", line=number
             )
         if len(cells) > count and any(cell.strip() for cell in cells[count:]):
-            raise SourceError(self.path, f"has {len(cells)} cells, and the header has {count}", line=number)
+            raise SourceError(
+                self.path, f"has {len(cells)} cells, and the header has {count}; does a cell contain the separator?",
+                line=number,
+            )  # fmt: skip
         return cells
 
     def numbers(self, rows: list[list[str]], lines: list[int]) -> F64:

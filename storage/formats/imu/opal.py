@@ -67,7 +67,7 @@ def _named(path: Path, lines: Sequence[str]) -> list[RawSensor]:
             axes = columns.setdefault(label, {}).setdefault(channel, {})
             axis = "S" if axis == "Scalar" else axis
             if axis in axes:
-                raise SourceError(path, f"has the column '{name}' twice", line=first + 1)
+                raise SourceError(path, f"has the column '{name}' twice; remove one", line=first + 1)
             axes[axis] = place
             stated = unit_name(below[place], channel) if channel in UNITS and place < len(below) else ""
             if stated is None:

@@ -126,7 +126,7 @@ class _Checks:
             return np.asarray(steps) / rate_hz, rate_hz
         unknown = np.flatnonzero(~(np.abs(times) <= LATEST_S))
         if len(unknown):
-            raise self.error("has no time", int(unknown[0]))
+            raise self.error("has no time; write the time of the sample, or remove the sample", int(unknown[0]))
         back = np.flatnonzero(~(np.diff(times) > 0))
         if len(back):
             row = int(back[0]) + 1

@@ -377,5 +377,5 @@ def _rows_by_name(path: Path, names: Sequence[str], lines: I64 | None) -> dict[s
     for row, name in enumerate(names):
         rows.setdefault(name, []).append(row)
     if len(rows) > MAX_SENSORS:
-        raise SourceError(path, f"has {len(rows)} sensors, and {MAX_SENSORS} are read at most")
+        raise SourceError(path, f"has {len(rows)} sensors; divide it into files of at most {MAX_SENSORS}")
     return {name: np.array(places) for name, places in rows.items()}

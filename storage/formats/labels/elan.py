@@ -216,7 +216,9 @@ class _Document:
             raise self.error(f"annotation {one.name}: start {start} ms must be before stop {stop} ms", one.line)
         label = one.value or one.tier.strip()
         if not label:
-            raise self.error(f"annotation {one.name} has no value and its tier no name: there is no class", one.line)
+            raise self.error(
+                f"annotation {one.name} has no class: write it as the value, or as the name of the tier", one.line
+            )
         annotator, limb = _limb_of_tier(one.tier) if label == ERROR else ("", "")
         place = f"annotation {one.name}"
         return ManualSegment(
@@ -264,7 +266,7 @@ def read(path: str | Path) -> LabelFile:
     except expat.ExpatError as fault:
         raise SourceError(path, f"is not XML: {expat.ErrorString(fault.code)}", line=fault.lineno) from None
     except (ValueError, LookupError) as fault:
-        raise SourceError(path, f"is in an encoding that is not read: {fault}") from None
+        raise SourceError(path, f"is in an encoding that is not read: {fault}; save it as UTF-8") from None
     return document.labels()
 
 

@@ -245,7 +245,9 @@ def _unicode(path: str | Path, text: str, place: str) -> str:
     try:
         text.encode()
     except UnicodeEncodeError:
-        raise SourceError(path, f"{place} has half of a character in it (\\ud800 to \\udfff alone)") from None
+        raise SourceError(
+            path, f"{place} has half of a character in it (\\ud800 to \\udfff alone); remove it"
+        ) from None
     return text
 
 

@@ -409,7 +409,7 @@ def _numbers(path: Path, arrays: dict[str, Any], key: str) -> F64:
         raise SourceError(path, f"`{key}` must be numbers, got {array.dtype}")
     numbers: F64 = array.astype(np.float64, copy=False)
     if not (numbers.min(initial=0.0) >= -LARGEST and numbers.max(initial=0.0) <= LARGEST):
-        raise SourceError(path, f"`{key}` has numbers that are none, infinite, or beyond {LARGEST:g}")
+        raise SourceError(path, f"`{key}` has numbers that are NaN, infinite or beyond {LARGEST:g}")
     return numbers
 
 

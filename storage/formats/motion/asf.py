@@ -250,7 +250,8 @@ def _chain(asf: _Asf, unit_m: float) -> Skeleton:
     for line, parent, children in asf.children:
         if parent not in index:
             known = [*asf.bones, "root"]
-            why = "stands before its own parent" if parent in asf.bones else f"is no bone{did_you_mean(parent, known)}"
+            near = did_you_mean(parent, known)
+            why = "must be a child in an earlier line" if parent in asf.bones else f"is no bone{near}"
             raise asf.error(f"hierarchy: '{parent}' {why}", line)
         for name in children:
             if name not in asf.bones:

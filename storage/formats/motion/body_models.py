@@ -194,7 +194,7 @@ def _numbers(path: Path, arrays: dict[str, Any], key: str, axes: int) -> F64:
         raise SourceError(path, f"`{key}` must be numbers in {axes} dimensions, got {array.shape} of {array.dtype}")
     numbers = np.asarray(array, dtype=np.float64)
     if not (np.abs(numbers) <= LARGEST).all():
-        raise SourceError(path, f"`{key}` has numbers that are none, infinite, or beyond {LARGEST:g}")
+        raise SourceError(path, f"`{key}` has numbers that are NaN, infinite or beyond {LARGEST:g}")
     return numbers
 
 
@@ -209,8 +209,9 @@ def _model(path: Path, names: tuple[str, ...], joints: F64, shapes: F64) -> Body
         raise SourceError(
             path, f"{len(names)} names, joints of shape {joints.shape} and shapes of {shapes.shape} do not go together"
         )
-    if not (np.abs(joints) <= LARGEST).all():
-        raise SourceError(path, f"has places that are no numbers, or beyond {LARGEST:g}")
+    wrong = np.flatnonzero(~(np.abs(joints) <= LARGEST).all(axis=1))
+    if len(wrong):
+        raise SourceError(path, f"joint '{names[wrong[0]]}' has coordinates that are not finite, or beyond {LARGEST:g}")
     for name in BODY:
         if name not in names:
             raise SourceError(path, f"lacks the joint '{name}'{did_you_mean(name, names)}")

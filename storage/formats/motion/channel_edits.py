@@ -213,7 +213,8 @@ def _to_origin(
         placement = placement_of(known.get("root", gap), left, right)
     except ParameterError:
         raise KinedexError(
-            f"{cut.source}: cannot be put at the origin: its root, or its hips and shoulders, are not known"
+            f"{cut.source}: cannot be put at the origin, since its root, or its hips and shoulders, are not known; "
+            "export it without `in_place`"
         ) from None
     back = axes.T @ turn_about_y(np.eye(3), -placement.yaw).T @ axes
     return back @ turn, -back @ axes.T @ [placement.x, 0.0, placement.z]

@@ -195,7 +195,8 @@ class Document:
         for i in order:  # `order` grows during the loop
             order += nodes[i].children
         if len(order) != len(nodes):
-            raise self.error("nodes hang from each other in a circle")
+            first = min(set(range(len(nodes))) - {*order})
+            raise self.error(f"nodes.{first} is its own ancestor, or below one that is; `children` must form trees")
         return tuple(above)
 
     def error(self, message: str) -> SourceError:
@@ -236,7 +237,7 @@ class Document:
         if accessor.sparse is not None:
             self._substitute(values, accessor.sparse, where, dtype, accessor.normalized)
         if not (values.min(initial=0.0) >= -1e12 and values.max(initial=0.0) <= 1e12):
-            raise self.error(f"{where} has numbers that are none, infinite, or beyond 1e12")
+            raise self.error(f"{where} has numbers that are NaN, infinite or beyond 1e12")
         return values
 
     def _substitute(self, values: F64, sparse: _Sparse, where: str, dtype: str, normalized: bool) -> None:
@@ -348,7 +349,7 @@ def read_gltf(path: Path) -> Document:
     try:
         found = json.loads(text.decode("utf-8-sig"))
     except (ValueError, RecursionError) as fault:
-        raise SourceError(path, f"its JSON cannot be read: {str(fault)[:200]}") from None
+        raise SourceError(path, f"its JSON cannot be read: {str(fault)[:200]}; is the file cut off?") from None
     if not isinstance(found, dict) or "asset" not in found:
         raise SourceError(path, "is no glTF: its JSON has no `asset`")
     _refuse_long_lists(path, found)

@@ -341,8 +341,9 @@ def refuse_far(
     if far.any():
         joint, _, frame = (int(at[0]) for at in np.nonzero(far))
         raise SourceError(
-            path, f"joint '{joints[joint]}' is more than {FARTHEST_M / 1000:g} km away in source frame {frame}"
-        )
+            path, f"joint '{joints[joint]}' is more than {FARTHEST_M / 1000:g} km away in source frame {frame}; is a "
+            "number of this frame wrong, or the unit of the file?",
+        )  # fmt: skip
 
 
 def is_shipped(fit: Fit) -> bool:

@@ -86,7 +86,9 @@ def _table(path: Path) -> _Table:
             "or with labelled markers", line=last + 1,
         )  # fmt: skip
     if len(points[used]) > MAX_POINTS:
-        raise SourceError(path, f"expected at most {MAX_POINTS} points, found {len(points[used])}", line=last + 1)
+        raise SourceError(
+            path, f"expected at most {MAX_POINTS} points, found {len(points[used])}; export fewer", line=last + 1
+        )
     columns = tuple((at["X"], at["Y"], at["Z"]) for _, at in points[used])
     texts = tuple(i for i, axis in enumerate(axes) if axis.lower().startswith("timecode"))
     labels = tuple(name for name, _ in points[used])
@@ -107,7 +109,9 @@ def _rate(path: Path, stated: dict[str, str]) -> float:
     """Return the frames per second of the export, or else of the recording."""
     key = next((key for key in ("Export Frame Rate", "Capture Frame Rate") if stated.get(key)), None)
     if key is None:
-        raise SourceError(path, "its first line has neither Export Frame Rate nor Capture Frame Rate", line=1)
+        raise SourceError(
+            path, "its first line has neither Export Frame Rate nor Capture Frame Rate; export it again", line=1
+        )
     rate_hz = parse_number(path, stated[key], key, 1)
     if not SLOWEST_HZ <= rate_hz <= FASTEST_HZ:
         raise SourceError(path, f"{key} must be {SLOWEST_HZ:g} to {FASTEST_HZ:g} Hz, got {stated[key]}", line=1)

@@ -134,7 +134,7 @@ def _array(path: Path, file: IO[bytes], what: str, size: int) -> npt.NDArray[Any
         # invalid code points would make Python fail later
         letters = np.ascontiguousarray(array.astype(array.dtype.newbyteorder("="))).view(np.uint32)
         if letters.max(initial=0) > sys.maxunicode:
-            raise SourceError(path, f"{what} has letters that are none: its texts are damaged")
+            raise SourceError(path, f"{what} has characters that are not valid Unicode: its texts are damaged")
     return array
 
 

@@ -220,8 +220,8 @@ FAULTS: dict[str, tuple[dict[str, Any], str]] = {
     "angles of no body": ({"poses": np.zeros((3, 99))}, "`poses` must have 66, 72, 156, 165 angles a frame, got 99"),
     "angles of one dimension": ({"poses": np.zeros(156)}, "`poses` must be angles of frames"),
     "no frames": ({"poses": np.zeros((0, 156)), "trans": np.zeros((0, 3))}, "`poses` must be angles"),
-    "no number": ({"poses": np.full((3, 156), np.nan)}, "`poses` has numbers that are none"),
-    "infinity": ({"trans": np.full((3, 3), np.inf)}, "`trans` has numbers that are none, infinite"),
+    "no number": ({"poses": np.full((3, 156), np.nan)}, "`poses` has numbers that are NaN"),
+    "infinity": ({"trans": np.full((3, 3), np.inf)}, "`trans` has numbers that are NaN, infinite"),
     "text": ({"betas": np.array(["thin"])}, "`betas` must be numbers"),
     "a rate of zero": ({"mocap_framerate": np.array(0.0)}, "the rate must be one number"),
     "no rate": (
@@ -259,7 +259,7 @@ MODELS: dict[str, tuple[str, Any, str]] = {
     "no joints": ("m.npz", {"J_regresor": np.zeros((30, 3))}, "must have `joints`, or `v_template` and `J_regressor`"),
     "another skin": ("m.npz", {"v_template": np.zeros((9, 3)), "J_regressor": np.zeros((52, 8))}, "go together"),
     "huge": ("m.csv", b"joint,x,y,z\n" + b"".join(b"%s,1e300,0,0\n" % n.encode() for n in BODY), "or beyond 1e\\+09"),
-    "NaN": ("m.npz", {"joints": np.full((52, 3), np.nan)}, "`joints` has numbers that are none"),
+    "NaN": ("m.npz", {"joints": np.full((52, 3), np.nan)}, "`joints` has numbers that are NaN"),
 }  # fmt: skip
 
 

@@ -198,7 +198,7 @@ QUIRKS = {
         ("its rows have up to 19 markers, its header names 17; the others, 45 cells in 10 of 20 rows",),
     ),
     "two markers of one name": (lambda text: text.replace("left_eye", "nose"), ("nose (2 copies)",)),
-    "numbers that are none": (lambda text: text.replace("\n1\t0.0000\t0\t", "\n1\t0.0000\t1.#QNAN\t"), ()),
+    "not a number": (lambda text: text.replace("\n1\t0.0000\t0\t", "\n1\t0.0000\t1.#QNAN\t"), ()),
     "a subject's name": (lambda text: text.replace("left_", "Ann:left_").replace("right_", "Ann:right_"), ()),
 }  # fmt: skip
 
@@ -357,7 +357,7 @@ def test_names_that_are_no_letters_are_refused(tmp_path: Path) -> None:
     names = np.array([f"name{i:02}" for i in range(17)])
     names.view(np.uint32)[3] = 0xF0_00_00_41
     np.savez(tmp_path / "a.npz", positions=keypoints(COCO, 3), names=names)
-    with pytest.raises(SourceError, match="'names' has letters that are none"):
+    with pytest.raises(SourceError, match="'names' has characters that are not valid Unicode"):
         parse_positions(tmp_path / "a.npz")
 
 
