@@ -252,7 +252,7 @@ def add_points(body: FitBody, image: FrameImage, buffers: FitBuffers, pose: F64,
 def add_samples(
     body: FitBody, view: DepthView, image: FrameImage, buffers: FitBuffers, pose: F64, sigma: float, printed: bool
 ) -> None:
-    """Add the equations that pull surface samples to image points to the normal equations.
+    """Add to the normal equations the rows that pull surface samples to image points.
 
     These are the samples that project outside the foreground or, if `printed`, all visible samples, as the thesis
     prints it.
