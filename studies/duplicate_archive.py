@@ -7,7 +7,6 @@ are like those of the other takes, and the motion is not the same. Every eighth 
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import numpy as np
@@ -21,10 +20,10 @@ from kinedex.storage.formats.motion.reader import Body
 from kinedex.storage.snapshot.parts import FramesWriter, joint_positions
 from kinedex.storage.store.store import Store
 from kinedex.storage.store.writer import StoreWriter
+from studies.planted_copies import planted
 
 F32 = npt.NDArray[np.float32]
 F64 = npt.NDArray[np.float64]
-Variants = Callable[[F32, float], Iterator[tuple[str, F32, float]]]
 
 SECONDS = (60.0, 240.0)
 """The shortest and the longest take."""
@@ -35,7 +34,7 @@ PACES, SIZES, WANDERING_M = (0.75, 1.3), (0.88, 1.12), 0.04
 PACE_S, WANDER_S = 4.0, 1.5  # seconds between two drawn paces, and between two drawn places of a joint
 
 
-def make_store(path: Path, base: Store, hours: float, variants: Variants, seed: int) -> dict[str, tuple[str, str]]:
+def make_store(path: Path, base: Store, hours: float, seed: int) -> dict[str, tuple[str, str]]:
     """Make a store, and return for each take that is a copy the name of the other take and the kind of copy.
 
     Parameters
@@ -46,8 +45,6 @@ def make_store(path: Path, base: Store, hours: float, variants: Variants, seed: 
         A store of the motion that takes go through.
     hours : float
         The length of all takes together, copies included.
-    variants : callable
-        Yields the copies of a take, the first of which is the take itself.
     seed : int
         Seed of all random numbers; the same arguments make the same motion.
     """
@@ -65,11 +62,12 @@ def make_store(path: Path, base: Store, hours: float, variants: Variants, seed: 
             waiting.append((name, positions, base.rate_hz))
             frames += len(positions)
             if number % COPIED == 0:
-                every = list(variants(positions, base.rate_hz))
-                kind, copied, rate = every[1 + number // COPIED % (len(every) - 1)]
+                every = list(planted(positions, base.rate_hz, random))
+                kind, make = every[number // COPIED % len(every)]
+                copy = make()
                 copies[f"copy{number:06}"] = name, kind
-                waiting.append((f"copy{number:06}", copied, rate))
-                frames += round(len(copied) * base.rate_hz / rate)
+                waiting.append((f"copy{number:06}", copy.positions, copy.rate_hz))
+                frames += round(len(copy.positions) * base.rate_hz / copy.rate_hz)
             number += 1
             if len(waiting) >= TAKES_A_PART:
                 _put(writer, waiting, base.feature_set, base.rate_hz)

@@ -17,10 +17,12 @@ from kinedex.pipelines.engine.runner import run_pipeline
 from kinedex.pipelines.inspection.duplicates import copies_line
 from kinedex.storage.formats.motion.reader_table import read_body
 from kinedex.storage.store.store import open_store
-from studies.duplicates import variants
+from studies.planted_copies import planted
 from tests.pipelines.archives import context, write_archive
 
 JOINTS = load_feature_set().joints
+KINDS = ("half the rate", "trimmed to two thirds", "exported as C3D: whole millimetres, Z up, turned",
+         "moved and turned, in centimetres", "in place", "mirrored", "trimmed, half the rate, mirrored")  # fmt: skip
 
 
 @pytest.fixture(scope="module")
@@ -31,9 +33,9 @@ def store(tmp_path_factory: pytest.TempPathFactory) -> Path:
     shutil.copyfile(source / "x_dance.amc", source / "x_same.amc")
     body = read_body(source / "x_dance.amc", source / "x.asf", load_mappings("auto", JOINTS), JOINTS)
     places = np.ascontiguousarray(body.positions.transpose(2, 0, 1), np.float32)
-    for number, (_, copy, rate) in enumerate(variants(places, body.rate_hz)):
-        if number:  # the first is the take as it is
-            np.savez(source / f"copy{number}.npz", positions=copy, names=np.array(JOINTS), rate_hz=rate)
+    for kind, make in planted(places, body.rate_hz, np.random.default_rng(0)):
+        if kind in KINDS:
+            make().write(source, f"copy{KINDS.index(kind)}")
     run_pipeline("ingest", folder / "store", assignments={"source": str(source)}, terminal=context(folder).terminal)
     return folder / "store"
 
@@ -47,11 +49,11 @@ def test_copies_are_listed_kept_and_counted(store: Path) -> None:
     names = set(open_store(store).take_ids)
     assert not any("x_other" in pair for pair in pairs)
     assert {frozenset((name, "x_dance")) for name in names if name.startswith("copy")} <= set(pairs)
-    image = pairs[frozenset(("copy6", "x_dance"))]
+    image = pairs[frozenset(("copy5", "x_dance"))]
     assert (image["mirrored"], image["share"]) == (True, 1.0)
     cut = pairs[frozenset(("copy1", "x_dance"))]
     assert (cut["take"], cut["of_take"], cut["start"], cut["mirrored"]) == ("copy1", "x_dance", 0, False)
-    assert cut["shift_seconds"] == pytest.approx((900 // 5 + 1) / 120, abs=0.01)
+    assert cut["shift_seconds"] == pytest.approx(0.6 * (900 - 600) / 120, abs=0.01)
     kept = open_store(store).sql("SELECT take, of_take FROM duplicates ORDER BY take, of_take").to_pylist()
     assert kept == [{"take": row["take"], "of_take": row["of_take"]} for row in rows]
     table = CliRunner().invoke(app, ["duplicates", str(store)])
@@ -62,7 +64,7 @@ def test_one_take_of_each_group_is_never_a_copy(store: Path) -> None:
     CliRunner().invoke(app, ["duplicates", str(store)])
     copies = open_store(store).sql("SELECT DISTINCT take FROM duplicates").column("take").to_pylist()
     assert set(open_store(store).take_ids) - set(copies) == {
-        "copy2",
+        "copy0",
         "x_other",
     }  # the longest, of equal length the first by name
 
