@@ -1,0 +1,182 @@
+"""The methods that the study of recognition compares: each learns the examples of a trial, and labels its takes."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Callable, Mapping, Sequence
+from typing import NamedTuple
+
+import numpy as np
+
+from kinedex.catalog.classes import OWN, load_classes
+from kinedex.ops.arrays import F64
+from kinedex.ops.body.joint_tree import JOINTS
+from kinedex.ops.numeric.channels import channels
+from kinedex.ops.numeric.recogniser import DURATION_WEIGHT, PER_FRAME, READINESS, Recogniser, TaughtMotion
+from kinedex.ops.numeric.span_chain import Spans, aligned_spans, best_chain, candidate_cuts
+from kinedex.ops.numeric.span_descriptors import SpanSums
+from kinedex.ops.words import TakeWords
+from kinedex.pipelines.annotation.annotators import Annotator, make_annotator
+from kinedex.pipelines.annotation.batches import annotate_words
+from kinedex.pipelines.annotation.methods import annotation_method
+from kinedex.pipelines.annotation.single_examples import usual_postures, with_single_examples
+from kinedex.pipelines.engine.executors import make_executor
+from kinedex.pipelines.templates.template_learning import TrainingClips, learn_templates
+from kinedex.storage.store.store import Store
+from studies.recognition_protocols import Motion, Trial
+
+DELTA, TAU = 0.05, 0.13
+
+
+class Found(NamedTuple):
+    """A segment that a method found: its frames, its class, and how sure the method is of it."""
+
+    start: int
+    stop: int
+    label: str
+    sureness: float
+
+
+Method = Callable[[Store, Trial], list[list[Found]]]
+"""Labels the takes of a trial; the store has the features of words and the rate."""
+
+
+def by_thesis(store: Store, trial: Trial) -> list[list[Found]]:
+    """Label by the thesis's method, with a template for each class."""
+    return _labelled(_annotator(store, trial.examples, "thesis"), trial.takes)
+
+
+def by_best(store: Store, trial: Trial) -> list[list[Found]]:
+    """Label by method best, with a template for each class."""
+    return _labelled(_annotator(store, trial.examples, "best"), trial.takes)
+
+
+def by_each_example(store: Store, trial: Trial) -> list[list[Found]]:
+    """Label by method best, with a template for each example."""
+    usual = usual_postures(_words(trial.takes).words, len(store.feature_set.features))
+    annotator = _annotator(store, trial.examples, "best")
+    return _labelled(with_single_examples(annotator, _clips(trial.examples), [], usual, DELTA), trial.takes)
+
+
+def by_numbers(store: Store, trial: Trial) -> list[list[Found]]:
+    """Label by numbers beside bits."""
+    taught = learned(store, trial)
+    return [
+        [Found(one.start, one.stop, one.label, one.probability) for one in taught.label(take.positions)]
+        for take in trial.takes
+    ]
+
+
+def by_discriminant(store: Store, trial: Trial) -> list[list[Found]]:
+    """Label by the discriminant of pooled numbers alone; candidate cuts are those of the states."""
+    taught = learned(store, trial)
+    if not trial.whole:
+        return [_by_part(taught, take, states=False) for take in trial.takes]
+    found = []
+    for take in trial.takes:
+        chances = taught.classify(take.positions)
+        best = int(chances.argmax())
+        found.append([Found(0, len(take.words), taught.classes[best], float(np.exp(chances[best])))])
+    return found
+
+
+def by_states(store: Store, trial: Trial) -> list[list[Found]]:
+    """Label by rows of states alone."""
+    taught = learned(store, trial)
+    return [_by_part(taught, take, states=True) for take in trial.takes]
+
+
+METHODS: Mapping[str, Method] = {
+    "thesis": by_thesis,
+    "best": by_best,
+    "each_example": by_each_example,
+    "numeric": by_numbers,
+    "discriminant": by_discriminant,
+    "states": by_states,
+}
+
+
+def learned(store: Store, trial: Trial) -> Recogniser:
+    """Return the recogniser that has learned the examples of a trial."""
+    mirror = {one.label: mirrored(one.label) for one in trial.examples} if trial.sides else None
+    given = [TaughtMotion(one.positions, one.label) for one in trial.examples]
+    return Recogniser.fit(given, [one.positions for one in trial.takes], JOINTS, store.rate_hz, mirror)
+
+
+def mirrored(label: str) -> str:
+    """Return the content of mirror images: with left for right, and itself without a side."""
+    return label.replace("left", "\0").replace("right", "left").replace("\0", "right")
+
+
+def most_of(labels: Sequence[Found]) -> str:
+    """Return the class that labels most frames; of several, the one of the surest label."""
+    frames: Counter[str] = Counter()
+    sureness: dict[str, float] = {}
+    for one in labels:
+        frames[one.label] += one.stop - one.start
+        sureness[one.label] = max(one.sureness, sureness.get(one.label, -np.inf))
+    return max(frames, key=lambda label: (frames[label], sureness[label]), default="")
+
+
+def _by_part(taught: Recogniser, take: Motion, *, states: bool) -> list[Found]:
+    """Label a take as the recogniser does, but by its states or its discriminant alone."""
+    found = channels(take.positions, taught.joints, taught.rate_hz)
+    evidence = taught.rows.evidence(found.frames)
+    cuts = candidate_cuts(evidence, taught.rows.firsts)
+    spans = aligned_spans(evidence, taught.rows.firsts, cuts, np.exp(taught.log_frames), READINESS)
+    if not len(spans.starts):
+        return []
+    frames = (spans.stops - spans.starts)[:, None]
+    scores: F64 = spans.scores
+    if not states:
+        posteriors = taught.discriminant.log_posteriors(
+            SpanSums(found, taught.rate_hz).describe(spans.starts, spans.stops)
+        )
+        scores = np.where(np.isfinite(scores), frames * (READINESS + PER_FRAME * posteriors), -np.inf)
+    scores = scores - 0.5 * DURATION_WEIGHT * (np.log(frames) - taught.log_frames) ** 2 / taught.spread
+    chosen = best_chain(Spans(spans.starts, spans.stops, scores), len(take.words))
+    kinds = scores[chosen].argmax(axis=1)
+    return [
+        Found(
+            int(spans.starts[span]), int(spans.stops[span]), taught.classes[kind],
+            float(scores[span, kind]) / float(frames[span, 0]),
+        )
+        for span, kind in zip(chosen.tolist(), kinds.tolist(), strict=True)
+    ]  # fmt: skip
+
+
+def _annotator(store: Store, examples: Sequence[Motion], method: str) -> Annotator:
+    """Return the annotator of a method, with a template for each class of the examples."""
+    executor = make_executor("serial", None)
+    clips = _clips(examples)
+    templates = [
+        one for task in learn_templates(clips, ["soft"], len(store.feature_set.features), executor) for one in task
+    ]
+    return make_annotator(
+        store.feature_set, templates, load_classes(OWN, {one.subclass for one in clips}), DELTA, TAU,
+        method=annotation_method(method), clips=lambda: [one.words for one in examples],
+    )  # fmt: skip
+
+
+def _clips(examples: Sequence[Motion]) -> list[TrainingClips]:
+    """Return the words of examples by class."""
+    labels = sorted({one.label for one in examples})
+    own = {label: [one for one in examples if one.label == label] for label in labels}
+    return [
+        TrainingClips(label, tuple(one.name for one in some), tuple(one.words for one in some))
+        for label, some in own.items()
+    ]
+
+
+def _words(takes: Sequence[Motion]) -> TakeWords:
+    """Return the words of takes, one after the other."""
+    offsets = np.cumsum([0, *(len(one.words) for one in takes)])
+    return TakeWords(np.arange(len(takes)), offsets, np.concatenate([one.words for one in takes]))
+
+
+def _labelled(annotator: Annotator, takes: Sequence[Motion]) -> list[list[Found]]:
+    """Label takes by an annotator."""
+    return [
+        [Found(one.start, one.stop, annotator.classes[one.class_index], -one.cost) for one in own.segments]
+        for own in annotate_words(annotator, _words(takes))
+    ]
