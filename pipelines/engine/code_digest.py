@@ -156,7 +156,7 @@ class Code:
     Attributes
     ----------
     text : str
-        A hash of the syntax tree.
+        The hashes of the syntax trees of its statements, joined to one text.
     names : set of str
         Names and chains of attributes on names, such as "np.zeros", including those in annotations.
     imports : dict of str to Place
@@ -413,7 +413,10 @@ class Sources:
         return self._at(module.imports[head], rest) if head in module.imports else None
 
     def _at(self, place: Place, rest: Sequence[str] = (), depth: int = 0) -> Place | None:
-        """Follow imports to the definition of a name or of its attributes; None if kinedex and plugins have none."""
+        """Return the definition of a name or attribute, following imports; None outside of kinedex and its plugins.
+
+        A name that a module does not define stands for the whole module.
+        """
         base, name = place
         module = self.module(base)
         if module is None or depth > 20:

@@ -290,7 +290,10 @@ class _PipelineReader:
         return settings[whole[1]] if whole else _SETTING.sub(lambda found: str(settings[found[1]]), value)
 
     def _inputs(self, name: str, kind: Stage[BaseModel]) -> dict[str, str]:
-        """Return the stage for each input role: the stage that the file names, else the only one of the right kind."""
+        """Return the stage for each input role: the one that the file names, else the only one of the right kind.
+
+        Optional roles for which there is no stage are left out.
+        """
         given = self._entries[name].inputs
         for role in given:
             if role not in kind.inputs:

@@ -400,9 +400,9 @@ def batches_of(items: Iterable[Item], sizes: Iterable[int], most: int) -> list[t
 def in_threads(work: Callable[[Item], Result], items: Iterable[Item], workers: int) -> Iterator[Result]:
     """Apply a function to every item in threads, with two items per thread in flight; yield the results in order.
 
-    An item is drawn only after the results of earlier items were consumed, so that it can use thresholds from these
-    results. The kernels release the interpreter's lock, so threads use all cores without copying words. After
-    cancellation, only the items in flight are completed.
+    An item is drawn only after the result of the item 2 × `workers` places before it was consumed, so that the iterable
+    can use earlier results, such as a threshold. The kernels release the interpreter's lock, so threads use all cores
+    without copying words. After cancellation, only the items in flight are completed.
     """
     source = iter(items)
     with ThreadPoolExecutor(max(1, workers)) as pool:

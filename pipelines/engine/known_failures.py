@@ -32,8 +32,8 @@ class FailedFile:
     file : str
         The path of the file. If one person of a file with several persons failed, this is the path of the whole file.
     checksum : str
-        Hash of what the failure depends on: the content of the file, and of another file that caused it; empty
-        if a file cannot be opened.
+        Hash of what the failure depends on: the content of the file, and of other files or the names of takes that are
+        involved; empty for a single file that cannot be read.
     error : str
         The kind of error.
     reason : str

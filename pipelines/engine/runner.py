@@ -156,7 +156,7 @@ class RunOptions:
     known_failures: KnownFailures | None = None
 
     def command(self, name: str | Path, store_path: Path, assignments: Mapping[str, str]) -> str:
-        """Return the command that runs a pipeline with these options."""
+        """Return the command that runs a pipeline with the executor, workers and forced stages of these options."""
         words = ["kinedex", "run", str(name), "--store", str(store_path)]
         for key, value in assignments.items():
             words += ["--set", f"{key}={value}"]
