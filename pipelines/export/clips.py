@@ -230,7 +230,7 @@ def _draw(seed: int, *content: object) -> str:
 
 
 def at_most_per_class(clips: Sequence[Clip], how: ClipOptions) -> list[Clip]:
-    """Return at most `how.per_class` clips of each class, selected pseudo-randomly by content and seed."""
+    """Return at most `how.per_class` clips of each class, selected pseudo-randomly by content and seed; None: all."""
     return list(clips) if how.per_class is None else _drawn(clips, how.per_class, how.seed)
 
 

@@ -238,7 +238,8 @@ class Sizes:
     Attributes
     ----------
     clips : list of int or None
-        Bytes of the files of each clip, in the order of the plan; None if no clip of the sample can be written.
+        Bytes of the files of each clip, in the order of the plan; None if no clip can be written in a sample, of which
+        there is one for clips of channels and one for clips of joints.
     remark : str
         A description of the sample.
     """
@@ -307,7 +308,10 @@ def _sample(jobs: Sequence[Job], how: ClipOptions) -> list[Job]:
 
 
 def _line(frames: Sequence[int], sizes: Sequence[int]) -> tuple[float, float]:
-    """Return slope and intercept of a line through sizes; a line through zero if all clips have the same length."""
+    """Return slope and intercept of the line that fits sizes in bytes over frames, by least squares.
+
+    The line passes through zero if all clips have the same length, or if its slope or intercept were not positive.
+    """
     if len(set(frames)) == 1:
         return float(np.mean(sizes)) / max(1, frames[0]), 0.0
     slope, start = np.polyfit(frames, sizes, 1)
