@@ -111,8 +111,8 @@ def take_errors(
 ) -> TakeErrors:
     """Compare the limbs of a take with the sensors that were worn on them.
 
-    If a limb has several sensors, it is compared with the sensor that has the most frames. Frames without data of that
-    sensor are compared with the other sensors, because each recording may cover only a part of the take.
+    If a limb has several sensors, their curves are merged one after the other: the curve with more valid frames is
+    kept, and its other frames are filled in from the next, because each recording may cover only a part of the take.
 
     Parameters
     ----------
@@ -193,7 +193,7 @@ def _values(row: Mapping[str, float]) -> F64:
 
 
 def error_table(take_id: int, take: str, found: TakeErrors, run: str, fingerprint: str | None) -> pa.Table:
-    """Return the rows of a take's errors, sorted by limb and frame."""
+    """Return the rows of a take's errors: limb by limb in the order of the curves, each with its frames in order."""
     shared = {"run": run, "take_id": take_id, "take": take, "tau_deg": found.tau_deg, "fingerprint": fingerprint}
     tables = [columns_table(ERRORS, _curve_columns(one), limb=one.limb, **shared) for one in found.curves]
     return pa.concat_tables(tables) if tables else result_schema(ERRORS).empty_table()

@@ -183,7 +183,7 @@ def placed_labels(labels: LimbLabels, take: Sequence[JudgedLimb]) -> list[Placed
 
 
 def unused_labels(labels: LimbLabels, judged: Collection[tuple[str, str]], takes: Collection[str]) -> list[str]:
-    """Return remarks on labels of takes or limbs that no sensor was compared with.
+    """Return the remarks of `labels`, and further ones on takes or limbs that have labels or sensors, but not both.
 
     Parameters
     ----------

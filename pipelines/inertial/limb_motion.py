@@ -50,7 +50,7 @@ class TakeLimbs:
     lacking : dict of str to str
         Limb → the reason why it is unknown.
     remarks : tuple of str
-        Sentences on limbs whose markers were not used.
+        Sentences on limbs whose markers, joints of the trunk or hinges did not give an orientation.
     """
 
     rate_hz: float
@@ -167,7 +167,7 @@ class StoredLimbs:
 def limb_table(
     take_id: int, take: str, limbs: Mapping[str, LimbMotion], run: str, fingerprint: str | None = None
 ) -> pa.Table:
-    """Return the rows of a take's limbs, sorted by limb and frame."""
+    """Return the rows of a take's limbs: limb by limb in the order of `limbs`, each with its frames in order."""
     shared = {"run": run, "take_id": take_id, "take": take, "fingerprint": fingerprint}
     tables = [columns_table(KIND, _columns(one), limb=one.limb, basis=one.basis, **shared) for one in limbs.values()]
     return pa.concat_tables(tables) if tables else result_schema(KIND).empty_table()

@@ -90,7 +90,7 @@ class FitTask:
     params : CalibrationSettings
         The parameters of the stage.
     given : mapping of str to StreamFit or None
-        The fits of limbs, by name, in the take that `from` names.
+        The fits of limbs, by name, in the take that `from` names; None for this take itself, or if `from` names none.
     foreign : bool
         True if the sensors may be mounted differently than in the take that `from` names.
     """
@@ -240,7 +240,7 @@ def _with_mount(one: _Worn, fits: Mapping[str, StreamFit], source: str, foreign:
 
 
 def _worn(take: WornTake, clocks: Clocks) -> list[_Worn]:
-    """Return the sensors of a take with their orientation streams, or with the reason why they have none."""
+    """Return the sensors of a take with their orientation streams, or with the reason why they cannot be calibrated."""
     found = []
     for sensor in take.sensors:
         clock = clocks.get((take.take_id, sensor.recording))

@@ -98,7 +98,7 @@ def source_root(source: str) -> Path:
 
 
 def sensor_files(root: Path) -> list[Path]:
-    """Return all files below a folder with the extension of a sensor file, without links that lead out of it."""
+    """Return the files below a folder with a sensor file's extension, without hidden ones and links that lead out."""
     found = []
     for folder, folders, names in os.walk(root):
         folders[:] = sorted(name for name in folders if not name.startswith("."))
@@ -173,7 +173,7 @@ def find_recordings(
 def _with_made(
     groups: Mapping[tuple[str, str], list[Path]], made: Mapping[str, Sequence[str]]
 ) -> dict[tuple[str, str], list[Path]]:
-    """Add the takes that were made from a camera recording to files by take and recording.
+    """Return the files by take and recording, with entries added for takes that were made from camera recordings.
 
     Such a take has the files of the recording, unless it has files in a folder with its own name.
     """
@@ -351,7 +351,7 @@ def oriented_sensor(sensor: ImuSensor, source: Literal["file", "estimate"]) -> t
 
 
 def estimated_orientations(sensor: ImuSensor) -> tuple[F64, list[str]]:
-    """Return orientations estimated from the readings, NaN in gaps, and warnings.
+    """Return orientations (N, 4) estimated from the readings, NaN where readings are missing, and warnings.
 
     The filter runs on a regular time grid at the sensor's rate. Gaps in the readings are interpolated linearly, so that
     the filter can continue after them; estimates within gaps are discarded.

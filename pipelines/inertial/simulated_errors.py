@@ -46,7 +46,7 @@ class LimbLabel:
     kind : str
         The kind of error; only in labels of the truth.
     degrees : float
-        The largest error within the label, in degrees, rounded to two decimals.
+        The largest error within the label, in degrees, rounded to two decimals; NaN except in labels of the truth.
     """
 
     take: str

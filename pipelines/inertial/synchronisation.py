@@ -115,7 +115,11 @@ def _fine_limbs(take: WornTake, sensors: list[WornSensor], clock: Clock) -> list
 
 
 def _first_fits(streams: list[Stream], magnetometers: bool) -> list[StreamFit]:
-    """Calibrate with a subset of frames; the vertical is unknown only if that explains clearly more frames."""
+    """Calibrate with at most `MAX_FRAMES` frames of each stream.
+
+    The take's Y axis is taken as vertical unless a calibration that estimates the vertical has more than 1.2 times as
+    many inliers.
+    """
     some = []
     for stream in streams:
         valid = np.flatnonzero(stream.valid)
