@@ -221,11 +221,14 @@ class KnownFile:
         return rows if rows and len(rows) >= (rows[0].get("persons") or 1) else ()
 
     def has_content_of(self, content: FileContent) -> bool:
-        """Return whether a take has the content of another file; raise a SourceError if that file cannot be read."""
+        """Return whether a take was read from this content; raise a SourceError if the file cannot be read."""
         return any(self._has_content(row, content) for row in self.rows)
 
     def _has_content(self, row: Row, content: FileContent) -> bool:
-        """Return whether a file has the known content; it is read only if path, size or modification time differ."""
+        """Return whether a file has the content that a take was read from.
+
+        The file is read only if its size is the same, but its path or modification time is not.
+        """
         motion = content.motion
         if row["source_bytes"] != motion.size:
             return False
@@ -241,7 +244,7 @@ class KnownFile:
         return self.place != (motion.root, motion.path) and self.is_there
 
     def rows_at(self, motion: SourceFile, rows: Iterable[Row]) -> list[Row]:
-        """Return the rows that change with the new path or time of their file, with the new values."""
+        """Return the rows that change with the new path or time of their file, with the new values; none for a copy."""
         place = {"source_root": motion.root, "source": motion.path, "source_mtime_ns": motion.mtime_ns}
         if self.is_elsewhere(motion):
             return []

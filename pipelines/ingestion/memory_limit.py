@@ -35,7 +35,7 @@ def parse_size(text: str) -> int:
 
 
 def needed_bytes(file: MotionFile, feature_set: FeatureSet, rate_hz: float, settings: ReadSettings) -> int:
-    """Return the peak memory, in bytes, of a process that reads one file and writes its frames.
+    """Estimate the peak memory, in bytes, of a process that reads one file and writes its frames.
 
     Parameters
     ----------

@@ -169,7 +169,10 @@ def _layout(paths: Sequence[str], fields: Sequence[Sequence[str]], separator: st
 
 
 def _splitter(stems: Sequence[str]) -> tuple[str, Callable[[str], list[str]]]:
-    """Return the separator that divides most names, and the function that divides a name by it."""
+    """Return the separator that divides most names, and the function that divides a name into fields.
+
+    Without a usual separator it is empty, and names are divided at capital letters, or before the number at their end.
+    """
     for separator in SEPARATORS:
         if sum(separator in stem.strip(separator) for stem in stems) >= USUAL * len(stems):
             return separator, lambda stem, by=separator: stem.split(by)
@@ -221,7 +224,7 @@ def _joined(names: list[str], before: int, after: int, separator: str) -> list[s
 
 
 def _alike(sets: Sequence[set[str]]) -> bool:
-    """Return whether all values are numbers, or each set shares half of its values with the largest set."""
+    """Return whether every set has only numbers, or none has and each has half of its values or more in the largest."""
     numbers = {all(value.isdecimal() for value in values) for values in sets}
     if numbers == {True}:
         return True
@@ -405,7 +408,11 @@ def _has(word: str, known: frozenset[str]) -> bool:
 
 
 def _class(layout: Layout, plain: Sequence[int]) -> int | None:
-    """Return the index of the column of classes: that with most words for motions, or with most repeated values."""
+    """Return the index of the column of classes; None if there is none.
+
+    It is the column with the largest share of words for motions. If no column has such words, it is the one with most
+    distinct values among the fields of names whose values recur.
+    """
     texts = [number for number in plain if not layout.columns[number].is_number]
     texts = [number for number in texts if not layout.columns[number].prefix or layout.columns[number].free]
     columns = layout.columns
@@ -424,7 +431,10 @@ def _class(layout: Layout, plain: Sequence[int]) -> int | None:
 
 
 def _free_name(column: Column, taken: set[str]) -> str:
-    """Return a name for a column that is neither actor, class nor clip: style, the word before a number, or tag."""
+    """Return a name for a column that is neither actor, class nor clip.
+
+    It is "style", the word before a number, "number", "folder" or "tag", with a number after it if it is in use.
+    """
     word = re.sub(r"[^a-z]", "", column.prefix.lower())
     if not column.is_number and not column.prefix and _share(column, _STYLES) > 0:
         name = "style"
