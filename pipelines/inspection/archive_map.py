@@ -141,6 +141,8 @@ def archive_map(store: Store, unit: Unit = "takes", progress: Progress | None = 
 def window_seconds(frames: I64, rate_hz: float) -> float:
     """Return the window length, in seconds, for which takes of the given lengths have at most `MAX_POINTS` windows.
 
+    If there are more takes than that, each of them has one window.
+
     Examples
     --------
     >>> window_seconds(np.array([300]), 30.0)
@@ -153,7 +155,7 @@ def window_seconds(frames: I64, rate_hz: float) -> float:
 
 
 def windows(frames: I64, length: float | None) -> tuple[I64, I64]:
-    """Divide takes into windows of equal length, close to a given length.
+    """Divide each take into windows whose lengths differ by at most one frame and are close to a given length.
 
     Parameters
     ----------
