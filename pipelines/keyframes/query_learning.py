@@ -295,7 +295,7 @@ def _cached_task(training: TrainingSet, setting: LearningSettings) -> TrainingTa
 
 
 def learn_runs(task: RunTask) -> list[LearningRun]:
-    """Perform learning runs on one training set, in a worker; a run depends only on seed, subclass and number."""
+    """Perform learning runs on one training set; the random numbers of a run depend on seed, subclass and number."""
     material = _cached_task(task.training, task.setting)
     evolution = task.setting.evolution
     results = []
