@@ -248,7 +248,8 @@ class LiveTracker:
     def measure(self) -> FrameResult | None:
         """Estimate the size of the person from the frames so far, and track these again; return the last result.
 
-        Nothing changes if no person was seen, or if the size is known.
+        The result is None, and the bones are not changed, if no person was seen, or the size is known or cannot be
+        estimated.
         """
         images, self._measured = self._measured, None
         seen = [image for image in images or () if image is not None]

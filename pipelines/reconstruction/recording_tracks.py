@@ -106,7 +106,8 @@ class PersonBones:
     Attributes
     ----------
     origin : str
-        The take with these bones, or "estimate".
+        The take with these bones; "estimate"; or, before a live camera, "mean" or "height" for mean bones of the
+        archive as they are, or scaled to a given height.
     lengths : float64 array (24,)
         The lengths of the bones in metres.
     height_m : float

@@ -55,7 +55,7 @@ class TakePoses:
     rows : int64 array (K,)
         The frames of the take whose poses are in the database.
     stands_for : int64 array (T,)
-        For each frame the number of the near pose that represents it; −1 for frames without a word.
+        For each frame the number of the near pose that represents it; −1 for frames that have no word or lack a joint.
     directions : float32 array (K, 24, 3)
         The unit directions of bones in its poses.
     """
