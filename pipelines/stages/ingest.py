@@ -61,7 +61,11 @@ class Ingest(Stage[IngestParameters]):
     parameters = IngestParameters
 
     def external_digest(self, params: IngestParameters, store: Store | None) -> str:
-        """Return a hash of the source files by path, size and time, of the mappings, and of the features."""
+        """Return a hash of everything outside the store that decides what is read.
+
+        This covers the source files by path, size and time, the skeleton mappings, the features, the body model, the
+        tables of metadata, and the paths of files whose takes were removed.
+        """
         feature_set = feature_set_for(store, params.features)
         path, manifest = (store.path, store.manifest) if store is not None else (Path(), None)
         mappings = chosen_mappings(params, feature_set.joints, path, manifest)
