@@ -1,4 +1,4 @@
-"""Prepare the motions of an archive that provide priors: templates, marked regions, and the poses of example clips."""
+"""Prepare the motions of an archive that provide priors: templates, columns with constraints, and poses of clips."""
 
 from __future__ import annotations
 
@@ -146,7 +146,8 @@ def archive_motions(
     features : FeatureSet
         The features of the store.
     classes : Classes
-        The classes, which define locomotion and changes of marked regions.
+        The classes, which state what is locomotion, and change the columns in which a template marks a constraint, such
+        as a foot on the ground (`ops.priors.constraints.template_marks`).
     delta : float
         Values of a template within delta of 0 or 1 are fixed.
     """

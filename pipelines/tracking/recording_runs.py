@@ -89,7 +89,7 @@ def earlier_rows(store: Store, kind: str, stage: str) -> list[dict[str, object]]
 
 
 def stages_of_takes(store: Store, take_ids: Collection[int]) -> set[str]:
-    """Return the stages, as "<pipeline>/<stage>", that have made takes from recordings."""
+    """Return the stages, as "<pipeline>/<stage>", that have made any of the given takes from recordings."""
     return {
         part.stage
         for kind in MADE_KINDS
@@ -161,7 +161,7 @@ class RunContext:
         )
 
     def reusable(self, store: Store, kind: str, key: str) -> dict[str, str]:
-        """Return the fingerprints of this stage's earlier rows, by the values of a column."""
+        """Return the fingerprints of this stage's earlier rows by the values of a column; empty if none is reusable."""
         if self.anew or not self.code:
             return {}
         return {str(row[key]): str(row["fingerprint"]) for row in earlier_rows(store, kind, self.stage)}
