@@ -112,7 +112,7 @@ def candidate_granules(
 
 
 def _runs(takes: I64) -> Iterator[tuple[int, int]]:
-    """Yield the half-open ranges of consecutive take ids in an ascending array."""
+    """Yield the half-open ranges of consecutive integers in an ascending array."""
     if len(takes):
         breaks = np.flatnonzero(np.diff(takes) > 1)
         begins = takes[np.concatenate(([0], breaks + 1))].tolist()

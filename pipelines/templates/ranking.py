@@ -249,7 +249,7 @@ class _Pass:
     def _rank_promising(
         self, templates: Sequence[RankedTemplate], take_ids: tuple[int, ...], taus: Sequence[float]
     ) -> Found | None:
-        """Rank takes in the frames that the index does not exclude; return None if it excludes too few."""
+        """Rank takes in the frames that the index does not exclude; None if it excludes too few or cannot be used."""
         begin = time.perf_counter()
         sliced = sound_index(self.store)
         frames = sum(self.store.take_frames[take_id] for take_id in take_ids)

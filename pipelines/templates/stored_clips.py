@@ -156,7 +156,10 @@ class LearnedFrom(Protocol):
 
 @dataclass(frozen=True)
 class NearestExample:
-    """An example clip: the frames [start, stop) of a take, and the frame of the clip for each frame of the hit."""
+    """An example clip: frames [start, stop) of a take, its distance from a hit, and its frame at each frame of the hit.
+
+    `cost` and `frames` are those of `ops.templates.nearest_clip.NearestClip`.
+    """
 
     take: str
     start: int
