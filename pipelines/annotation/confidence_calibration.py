@@ -141,7 +141,8 @@ def calibrate_confidence(
     Parameters
     ----------
     clips : sequence of TrainingClips
-        The examples by subclass; at most `MAX_CLIPS` of each are used.
+        The examples by subclass. Of more than `MAX_CLIPS` examples, those from the takes of so many evenly spread ones
+        are used.
     actors : mapping of str to str
         The actor of each take by its name. With fewer than two actors, folds hold out takes instead of actors.
     classes : Classes
@@ -232,7 +233,7 @@ def annotate_fold(fold: CalibrationFold) -> JudgedSegments:
 
 
 def _thinned(clips: TrainingClips) -> TrainingClips:
-    """Return at most `MAX_CLIPS` clips, spread evenly over their names."""
+    """Return the clips from the takes of `MAX_CLIPS` clips that are spread evenly over the names; all, if fewer."""
     if len(clips.names) <= MAX_CLIPS:
         return clips
     places = np.linspace(0, len(clips.names) - 1, MAX_CLIPS).round().astype(int).tolist()
