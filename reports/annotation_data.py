@@ -172,7 +172,10 @@ class Reader:
         return data_frame(self.table(kind))
 
     def other_annotations(self, own: pl.DataFrame) -> tuple[str | None, pl.DataFrame | None]:
-        """Return the method and annotations of the last stage that annotated the same takes by another method."""
+        """Return the method and annotations of the last stage that annotated the same takes by another method.
+
+        Both are None if there is no such stage.
+        """
         method, takes = set(own["method"]), set(self.frame("annotated_takes")["take"])
         mine = f"{self._pipeline}/{self._inputs.get('annotations')}"
         stages = [record for key, record in self._store.manifest.stages.items() if key != mine]

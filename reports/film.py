@@ -31,7 +31,9 @@ _SHADES = 20  # shades of each colour in the palette of a GIF
 
 
 def write_gif(path: Path, motion: JointMotion) -> None:
-    """Write a motion as a GIF with 25 frames per second, or with the rate of the motion if that is lower.
+    """Write a motion as a GIF with 25 frames per second, or with about the rate of the motion if that is lower.
+
+    A frame of a GIF lasts a whole number of hundredths of a second, to which its duration is rounded.
 
     Parameters
     ----------

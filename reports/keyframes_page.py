@@ -74,7 +74,11 @@ class Matrix:
 
 @dataclass(frozen=True)
 class Card:
-    """One subclass: its queries in words, their margins in seconds, the clips that they find, and a matrix."""
+    """One subclass: its queries in words, their margins in seconds, the clips that they find, and a matrix.
+
+    `found` counts the clips of the subclass, `others` those of other classes; `interval` and `precise` are the
+    confidence intervals of recall and precision.
+    """
 
     outcome: Outcome
     sentences: tuple[str, ...]

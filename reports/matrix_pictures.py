@@ -301,7 +301,7 @@ def soft_colours(values: F64) -> U8:
 
 
 def quantised_colours(template: QuantisedTemplate, features: int) -> U8:
-    """Return the colours of a quantised template, uint8 (features, columns, 3): off is black, on white, * grey blue."""
+    """Return the colours of a quantised template, uint8 (features, columns, 3): off black, on white, wildcards blue."""
     palette = np.array([BLACK, WILDCARD, WHITE], np.uint8)
     turned: U8 = np.ascontiguousarray(palette[(2 * template.values(features)).astype(np.int64)].transpose(1, 0, 2))
     return turned

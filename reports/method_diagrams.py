@@ -117,7 +117,10 @@ class Strips:
 
 @dataclass(frozen=True)
 class Shade:
-    """One entry of a confusion matrix: frames, their share of the row, and the darkness of the cell in percent."""
+    """One entry of a confusion matrix: frames, their share of the row, and the darkness of the cell in percent.
+
+    `right` is True on the diagonal, where both labels are the same.
+    """
 
     frames: float
     share: float

@@ -381,7 +381,7 @@ def packed_points(row: Mapping[str, Any], frames: int, rate_hz: float) -> dict[s
     Returns
     -------
     dict or None
-        The object that the player reads; None if the recording no longer exists.
+        The object that the player reads; None if the recording no longer exists or cannot be read.
     """
     if row["file"] is None or not Path(row["file"]).is_file():
         return None

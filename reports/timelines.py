@@ -175,7 +175,10 @@ class Panel:
 
 @dataclass(frozen=True)
 class CurveDiagram:
-    """All panels of one take; `top` is the cost at the upper edge, `tau_y` the height of τ in units."""
+    """The panels of one take; `top` is the cost at the upper edge, `tau_y` the distance of τ from this edge in units.
+
+    `quiet` has the panels without a segment or a minimum below τ. `thinned` is True if not all frames are drawn.
+    """
 
     take: TakeRow
     panels: tuple[Panel, ...]

@@ -70,7 +70,7 @@ def write_takes_page(
 
 
 def _group_of(rows: Sequence[dict[str, Any]]) -> str:
-    """Return the first column in which the takes have several values, some of them more than once."""
+    """Return the first column that has several values, some of them in several takes; `FOLDER` if there is none."""
     for name in _GROUPS:
         if 1 < len({row[name] for row in rows}) < max(2, len(rows)):
             return name
