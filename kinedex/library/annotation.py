@@ -163,7 +163,7 @@ class _LoadedWords:
         return {place: take.known for place, take in enumerate(self.takes) if take.known != ALL_KNOWN}
 
     def every_word(self) -> list[Any]:
-        """Return the words of each take."""
+        """Return the words of the takes whose features are all known, or of all takes if there is no such take."""
         return [take.words() for take in self.takes if take.known == ALL_KNOWN] or [take.words() for take in self.takes]
 
 
@@ -195,7 +195,7 @@ class _StoredWords:
         return known_masks(self.store.stored.known, self.names)
 
     def every_word(self) -> list[Any]:
-        """Return the words of all takes of the store, annotated or not."""
+        """Return the words of the store's takes whose features are all known, or of all its takes, in one array."""
         return [self.store.stored.words().best_known]
 
 

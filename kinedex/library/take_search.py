@@ -130,7 +130,8 @@ class TakeSearch(TakeCollection):
         Parameters
         ----------
         stage : str, optional
-            The stage whose templates are returned: ``"pipeline/stage"``, or the name of the pipeline; by default all.
+            The stage whose templates are returned: ``"pipeline/stage"``, or the name of the pipeline; by default the
+                        stages of the pipeline whose templates the view ``templates`` shows.
 
         Returns
         -------
