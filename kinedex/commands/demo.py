@@ -93,9 +93,10 @@ class Demo:
         )  # fmt: skip
 
     def run_settled(self, pipeline: str, settings: Mapping[str, str]) -> Outcome:
-        """Run a pipeline that makes takes from recordings twice, so that the index has these takes.
+        """Run a pipeline that makes takes of recordings, and run it again with these takes in the index.
 
-        The outcome of the first run is returned; after the second run, a run with the same settings has nothing to do.
+        The outcome of the first run is returned; if it ran no stage, there is no second run. After the second run, a
+        run with the same settings has nothing to do.
         """
         self.message(f"store: {self.store}")
         assignments = {"source": str(self.archive), **settings}
@@ -213,7 +214,7 @@ def run_inertial_demo(demo: Demo) -> Outcome:
 
 
 def _long_takes(store: Store) -> list[str]:
-    """Return the first takes that are long enough to be synchronised."""
+    """Return the names of the first takes without a class that are long enough to be synchronised."""
     rows = store.take_rows.to_pylist()
     long = [
         row["name"]
@@ -266,7 +267,7 @@ def figures(store: Store, recordings: Path) -> list[str]:
 
 
 def _agreement(rows: list[dict[str, Any]]) -> list[str]:
-    """Return lines about the agreement with the simulated annotators, at the τ of the thesis and at the best τ."""
+    """Return lines about the agreement with the simulated annotators, at the angles τ = 45° and of the best F1."""
     own = [row for row in rows if (row["scope"], row["detector"], row["annotator"]) == ("all", "sensors", "all")]
     known = [row for row in own if row["f1"] is not None]
     if not known:

@@ -66,7 +66,7 @@ class LabelFilter(OptionGroup):
     every: Annotated[bool, typer.Option("--all", help="All of them, where nothing else is chosen.")] = False
 
     def selection(self, opened: Store, *, every: bool = False) -> RowSelection:
-        """Return the selection that the options state; times require a single take, whose frames they count."""
+        """Return the selection that the options state; `start` and `stop` require exactly one take."""
         from kinedex.pipelines.labels.row_selection import RowSelection
         from kinedex.pipelines.templates.stored_templates import clip_range
 

@@ -162,7 +162,7 @@ def assignments_of(pairs: list[str] | None) -> dict[str, str]:
 
 
 def interval_of(text: str) -> tuple[int, int]:
-    """Return the frames of an interval such as 100:160."""
+    """Return the first frame of an interval such as 100:160, and the frame after its last."""
     start, colon, stop = text.strip().partition(":")
     if not (colon and start.isdecimal() and stop.isdecimal() and int(start) < int(stop)):
         raise typer.BadParameter(f"--frames {text}: expected the first frame and the one after the last, as 0:60")

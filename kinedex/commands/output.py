@@ -103,7 +103,7 @@ def _pooled_metrics(outcome: Outcome) -> list[dict[str, object]]:
 
 
 def show_outcome(outcome: Outcome, store: Path, as_json: bool = False, *, repeat: bool = False) -> None:
-    """Print how a pipeline ended and where its report is; exit with `LEFT_OUT` if source files were excluded.
+    """Print how a pipeline ended and where its report is; exit with `LEFT_OUT` if the run had failures.
 
     Parameters
     ----------
@@ -158,7 +158,7 @@ def _failure_lines(outcome: Outcome, store: Path) -> list[str]:
 
 
 def _file_lines(outcome: Outcome) -> list[str]:
-    """Return a line with source files for each kind of failure, for a run that stores known failures."""
+    """Return lines about new, changed, gone, accepted and failed files, for a run that stores known failures."""
     files = outcome.files
     failed = [f"failed: {one.reason}" for one in files.failed[:FEW]]
     if len(files.failed) > FEW:

@@ -41,11 +41,11 @@ class Pages(OptionGroup):
 
     @property
     def picture(self) -> Path | None:
-        """The path given by `--output` if it is a PNG file; else None."""
+        """None; in a subclass, the path of the picture to write."""
         return None
 
     def check(self) -> None:
-        """Raise an error if the page does not end in .html or its folder does not exist, before the search begins."""
+        """Raise an error if the page does not end in .html, or the folder of the page or picture does not exist."""
         if self.html is not None and self.html.suffix.lower() not in (".html", ".htm"):
             raise KinedexError(f"--html {self.html}: a page ends in .html, for instance {self.html.name}.html")
         for option, path in (("--html", self.html), ("--output", self.picture)):

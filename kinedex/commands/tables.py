@@ -136,7 +136,7 @@ def _print_database(store: Store, as_json: bool) -> None:
 
 
 def _bound_memory() -> None:
-    """Limit the memory of this process to that of the machine, since DuckDB's limit does not count texts and lists.
+    """Limit this process to 90 % of the machine's memory, since DuckDB's limit does not count texts and lists.
 
     A statement that needs more memory then ends with an error; without a limit, the system would kill the process.
     """

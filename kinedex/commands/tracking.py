@@ -123,7 +123,7 @@ def _document(one: Explanation) -> dict[str, object]:
 
 
 def _show(one: Explanation, unchanged: bool, explain: bool) -> None:
-    """Print the result of stabilising a take."""
+    """Print the priors of a stabilised take if `explain` is set, and a line about the take if it was up to date."""
     from kinedex.ops.wording import counted
 
     if explain:
