@@ -109,7 +109,7 @@ def versions_with_results(store: Path) -> dict[str, int]:
 
 
 def results_of(run: PipelineRun, places: dict[str, int], newest: int) -> str:
-    """Describe which version holds the results of a run: "newest version", "version 12", "partly gone" or "gone"."""
+    """Describe where the results of a run are: newest version, version 12, partly gone, gone; none if no stage ran."""
     found = [places.get(stage.run) for stage in run.ran]
     if not found:
         return "none"

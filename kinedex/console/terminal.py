@@ -52,7 +52,7 @@ class ProgressStep:
         return f"{self.name}: {count}{seconds:.0f} s so far" + (f", about {duration(left)} left" if left else "")
 
     def seconds_left(self, now: float) -> float | None:
-        """Return the seconds that the remaining work takes at the mean speed so far; None if nothing is done yet."""
+        """Return the seconds left at the mean speed so far; None if nothing or all is done, or the total is unknown."""
         if self.total is None or not 0 < self.done < self.total:
             return None
         return (now - self.begun) * (self.total - self.done) / self.done
