@@ -92,7 +92,7 @@ def build_index(
     store : Snapshot
         The version to index.
     threads : int, optional
-        Number of threads that make shards, and that store them; one for every core by default.
+        Number of threads that make shards (4 at most), and that store them; one for every core by default.
     memory_mb : int, optional
         Largest memory of DuckDB in MB; by default DuckDB decides.
     shard_frames : int, optional

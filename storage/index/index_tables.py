@@ -85,7 +85,7 @@ def make_shard(words: TakeWords, feature_set: FeatureSet) -> ShardRows:
 
 
 def _words_of_set(words: TakeWords, home: WordSet) -> U64:
-    """Return the words, without those of takes that have unknown features of a set."""
+    """Return the words, with `NO_WORD` in all frames of takes that have unknown features of a set."""
     if words.known is None:
         return words.words
     mask = np.uint64(home.mask)
@@ -181,7 +181,7 @@ def _takes(connection: duckdb_sql.Connection, name: str, take_ids: Iterable[int]
 def describe(connection: duckdb_sql.Connection, store: Snapshot, *, anew: bool) -> None:
     """Create the tables takes and vocabulary, and if `anew` also the tables features and help, the views and macros.
 
-    None of these may exist yet; `clear` removes them.
+    Tables are replaced if they exist. The views and macros must not exist yet; `clear` removes them.
     """
     if anew:
         _create_as(connection, "features", features_table(store.feature_set))

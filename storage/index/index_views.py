@@ -58,7 +58,7 @@ def features_table(feature_set: FeatureSet) -> pa.Table:
 
 
 def help_table(*, index_only: bool = False) -> pa.Table:
-    """Return the rows of the view `help`."""
+    """Return the rows of the view `help`; with `index_only` those of the index file."""
     columns = ("name", "call", "summary", "example")
     rows = help_rows(index_only=index_only)
     return pa.Table.from_pylist([dict(zip(columns, row, strict=True)) for row in rows])
