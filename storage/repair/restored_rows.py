@@ -243,7 +243,7 @@ class RestoredLabels:
     restored : int
         Number of rows found in undamaged parts of older versions.
     lost : int
-        Number of rows found in no undamaged part.
+        Number of rows of the damaged parts minus `restored`; rows that are only in the journal count as lost.
     journals : tuple of Journal
         The journal files whose undamaged rows are in the version.
     """
