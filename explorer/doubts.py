@@ -40,7 +40,7 @@ class CauseRequest(RequestBody):
 
     @property
     def condition(self) -> str:
-        """The SQL condition over `doubts` that they fit."""
+        """The SQL condition that selects these doubts in the view `doubts`."""
         return f"kind = {quote(self.kind)} AND cause = {quote(self.cause)}"
 
 

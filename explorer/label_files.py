@@ -136,7 +136,7 @@ class LabelExportRequest(RequestBody):
 
 
 def export_files(archive: Archive, asked: LabelExportRequest, _request: Request) -> Row:
-    """Write label files into the folder that the person names."""
+    """Write labels or annotations into the folder, or the one file, that the person names."""
     store = archive.store()
     where = (asked.where or "").strip() or None
     rejected = 0

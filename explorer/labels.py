@@ -157,7 +157,7 @@ class Decide(RequestBody):
 
 
 class Restore(RequestBody):
-    """Undo an edit."""
+    """Undo an edit, or redo it."""
 
     do: Literal["restore"]
     ids: Annotated[tuple[Id, ...], Field(min_length=1, max_length=2 * MAX_CHANGES)]

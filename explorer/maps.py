@@ -131,7 +131,7 @@ class MapTakesRequest(Selection):
 
 @quoting_condition
 def map_takes(archive: Archive, asked: MapTakesRequest, _request: Request) -> dict[str, Any]:
-    """Return the values of a column for all takes, by their ids, and which of these fit."""
+    """Return the values of a column for all takes, in the order of their ids, and mark takes that fit the filters."""
     store = archive.store()
     known = store.take_rows.column_names
     nan = columns_with_nan(store)

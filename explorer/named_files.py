@@ -97,7 +97,7 @@ class MappingRequest(NodesRequest):
 
     @property
     def only(self) -> str | None:
-        """The key `only` of the mapping."""
+        """The pattern of file names for the key `only` of the mapping; None if the mapping is for all files."""
         # a reader gets a packed file by its name without the ending of the packing
         return f"^{re.escape(''.join(split_ending(PurePosixPath(self.file.source).name)))}$" if self.only_this else None
 
@@ -163,7 +163,7 @@ def _state(store: Store, file: _File) -> tuple[object, ...]:
 
 
 def _persons(store: Store, file: _File, mappings: Mappings) -> tuple[str, ...]:
-    """Return the persons of a file of several."""
+    """Return the names of the persons in a file; empty if it has only one."""
     key = _state(store, file)
     kept = _PERSONS.get(key)
     if kept is not None:
@@ -297,7 +297,7 @@ def _judged(store: Store, body: Body, around: list[int]) -> dict[str, Any]:
 
 
 def _around(store: Store, asked: SourceFileName) -> tuple[str, list[int]]:
-    """Return the takes of the other files of a file's folder, of its source if there are none, or of the store."""
+    """Return a place and the ids of takes of its other files: the file's folder, else its source, else the store."""
     rows = store.take_rows.select(["take_id", "source_root", "source"]).to_pylist()
     others = [row for row in rows if (row["source_root"], row["source"]) != (asked.source_root, asked.source)]
     source = [row for row in others if row["source_root"] == asked.source_root]
@@ -309,7 +309,7 @@ def _around(store: Store, asked: SourceFileName) -> tuple[str, list[int]]:
 
 
 def _shares_around(store: Store, takes: list[int]) -> list[float | None]:
-    """Return in how many per cent of the valid frames of some takes each feature is on; None where none knows it."""
+    """Return the percentage of valid frames of some takes in which each feature is on; None where none knows it."""
     count = len(store.feature_set.features)
     if not takes:
         return [None] * count

@@ -121,7 +121,7 @@ def serve(
     host : str
         Name or address to listen on.
     port : int or None
-        The port; a free one for None.
+        The port; for None, `PORT`, or a free port if that one is in use.
     read_only : bool
         Refuse everything that writes.
     browser : bool

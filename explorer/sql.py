@@ -89,9 +89,10 @@ def _type(kind: pa.DataType) -> str:
 
 
 def hits_of(store: Store, table: pa.Table) -> list[dict[str, Any]] | None:
-    """Return the first rows of a result as hits; None where it lacks the columns take or take_id, start and stop.
+    """Return the first rows of a result as hits, or None without the columns take or take_id, start and stop.
 
-    Rows that name no take, or no interval within it, are skipped.
+    Rows that name no take, or no interval within it, are skipped. The answer is also None if two columns have the same
+        name.
     """
     columns = set(table.column_names)
     if not {"start", "stop"} <= columns or not {"take", "take_id"} & columns or len(columns) < table.num_columns:
