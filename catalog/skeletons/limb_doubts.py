@@ -18,7 +18,7 @@ _BOTH_SIDES = (
     *(((f"l{a}", f"l{b}"), (f"r{a}", f"r{b}")) for a, b in _LIMBS),
     *(((a, f"l{b}"), (a, f"r{b}")) for a, b in _WIDTHS),
 )
-_TRUNK = (("root", "neck"), ("neck", "head"))
+_TRUNK = (("root", "neck"), ("neck", "head"), ("root", "belly"), ("belly", "chest"))
 _UNEQUAL = {"toes": 1.35, "fingers": 2.0, "hip": 1.5, "shoulder": 1.5}
 """Largest ratios of the lengths on both sides, by the outer joint: skeletons end feet and hands differently."""
 

@@ -119,19 +119,19 @@ def _found(names: tuple[str, ...], parents: tuple[int, ...], data: bytes, empty:
 
 def _of_partners(words: Sequence[NodeName], offsets: F64, empty: Sequence[int]) -> dict[int, F64]:
     """Return the offsets of bones without length whose partner has one, by the reflection that fits all others."""
-    at: dict[tuple[str, str, tuple[int, ...]], list[int]] = {}
+    at: dict[tuple[str, tuple[str, tuple[int, ...], bool]], list[int]] = {}
     for i, name in enumerate(words):
-        if name.side and not name.end:
-            at.setdefault((name.side, name.key, name.ordinals), []).append(i)
+        if name.side:
+            at.setdefault((name.side, (name.key, name.ordinals, name.end)), []).append(i)
     pairs = [
         pair
-        for (side, key, ordinals), own in at.items()
-        if side == "l" and len(others := at.get(("r", key, ordinals), [])) == len(own)
+        for (side, which), own in at.items()
+        if side == "l" and len(others := at.get(("r", which), [])) == len(own)
         for pair in zip(own, others, strict=True)
     ]
     partner = dict(pairs) | {other: i for i, other in pairs}
     alone = [i for i in empty if i in partner and partner[i] not in empty]
-    whole = [(i, other) for i, other in pairs if i not in empty and other not in empty]
+    whole = [(i, other) for i, other in pairs if not words[i].end and i not in empty and other not in empty]
     if not alone or not whole:
         return {}
     left, right = offsets[[i for i, _ in whole]], offsets[[i for _, i in whole]]
@@ -148,18 +148,21 @@ def _in_the_middle(
     vocabulary = load_vocabulary("joints")
     parts = [frozenset(vocabulary.parts(name)) for name in words]
     middle = [bool(own & _MIDDLE) and not own & ASIDE and not name.side for own, name in zip(parts, words, strict=True)]
-    inner = [i for i in empty if middle[i] and ("headtop" in parts[i] or not words[i].end)]
+    inner = [i for i in empty if middle[i]]
     far = _along_middle(words, parts, parents, offsets, middle) if inner else []
     if not far or max(far) > _SHORT:
         return {}, ()
     found: dict[int, F64] = {}
     doubtful = []
+    leaves = set(range(len(words))).difference(parents)
+    ends_far = any(i not in empty for i in leaves)  # else no bone of the file has a length at its end
     for i in inner:
         above = parents[i]
         first_neck = "neck" in parts[i] and "neck" not in parts[above]
         at_arms = any(parents[j] == above and words[j].side for j in empty)
-        if "headtop" in parts[i]:
-            doubtful.append(i)
+        if "headtop" in parts[i] or words[i].end:
+            if ends_far:
+                doubtful.append(i)
         elif not middle[above]:
             further = [j for j in range(i + 1, len(words)) if "spine" in parts[j] and middle[j] and j not in empty]
             if not words[i].key.startswith("low") and len(further) >= _FURTHER:

@@ -65,13 +65,14 @@ def _renamed(
     needed, lacking = _lacking(plain)
     if not lacking or len(needed) > _MOST:
         return None
-    named, shown = dict(nodes), set(nodes.values())
+    named, shown, tips = dict(nodes), set(nodes.values()), set(range(len(parents))).difference(parents)
     for name in sorted(lacking, key=lambda one: one.endswith("_end")):
         indices = mapping.indices(named)
         near, far = _bounds(mapping, name, indices)
         end = name.endswith("_end")
         taken = {indices.get(other) for other in _all_names(mapping)}
-        free = [i for i, ends in nameless.items() if ends == end and i not in taken and i in shown]
+        free = [i for i, ends in nameless.items() if (ends or i in tips if end else not ends)]
+        free = [i for i in free if i not in taken and i in shown]
         there = [i for i in free if _lies(i, near, far, parents)]
         if len(there) > 1 and end and (stem := indices.get(name.removesuffix("_end"))) is not None:
             there = [i for i in there if parents[i] == stem]

@@ -29,7 +29,7 @@ from kinedex.storage.formats.motion.asf import INCH_M, read_asf
 from kinedex.storage.formats.motion.body_models import load_body_model
 from kinedex.storage.formats.motion.bvh_parser import parse_bvh
 from kinedex.storage.formats.motion.c3d import parse_c3d
-from kinedex.storage.formats.motion.figures import Figure as SceneFigure
+from kinedex.storage.formats.motion.figure_poses import Figure as SceneFigure
 from kinedex.storage.formats.motion.figures import FigureReader
 from kinedex.storage.formats.motion.points import Points, PointsReader
 from kinedex.storage.formats.motion.positions import PositionsReader, parse_positions

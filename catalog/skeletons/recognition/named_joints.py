@@ -35,6 +35,7 @@ HEAD_M = 0.14
 FINGERS_SHARE = 0.25
 """The distance from wrist to first knuckle as a fraction of the forearm (0.247 in every skeleton of HDM05 and CMU)."""
 
+_TO_KNUCKLE = 0.6  # share of the forearm; knuckles are nearer to the wrist
 _FOOT_AHEAD, _FOOT_DOWN = 0.2, 0.06  # shares of the leg: from the ankle to estimated toes
 _PAST_BALL = 0.45  # the distance from ball to toes as a share of that from ankle to ball
 _CLAVICLE = 0.15  # share of the way from neck to shoulder
@@ -81,10 +82,11 @@ def joint_mixes(tree: Tree, body: Anatomy, sides: Sides) -> JointMixes:
         _add_toes(found, tree, body, sides, side, leg)
     if sides.arms is None:
         return found
+    reach = _TO_KNUCKLE * sum(arm.bones[2] for arm in sides.arms) / 2  # the same on both sides
     for side, arm in zip("lr", sides.arms, strict=True):
         for joint, node in zip(("shoulder", "elbow", "wrist"), arm.nodes, strict=True):
             found.mixes[side + joint] = _node(tree, node)
-        _add_fingers(found, tree, side, arm)
+        _add_fingers(found, tree, side, arm, reach)
     _add_trunk(found, tree, body, sides)
     for side, arm in zip("lr", sides.arms, strict=True):
         _add_clavicle(found, tree, side, arm)
@@ -233,8 +235,8 @@ def _add_clavicle(found: JointMixes, tree: Tree, side: str, arm: Limb) -> None:
         found.estimate(f"{side}clavicle", mix, f"{100 * _CLAVICLE:.0f} % of the way from neck to shoulder")
 
 
-def _add_fingers(found: JointMixes, tree: Tree, side: str, arm: Limb) -> None:
-    """Add the first knuckle of the middle finger, or the nearest substitute."""
+def _add_fingers(found: JointMixes, tree: Tree, side: str, arm: Limb, reach: float) -> None:
+    """Add the first knuckle of the middle finger, or the nearest substitute; a knuckle is nearer than `reach`."""
     wrist = arm.nodes[2]
     forearm = arm.bones[2]
     below = [node for node in tree.below(wrist)[1:] if tree.distance(wrist, node) > 0.12 * forearm]
@@ -243,7 +245,7 @@ def _add_fingers(found: JointMixes, tree: Tree, side: str, arm: Limb) -> None:
     for part in ("hand", *FINGERS[:-1]):
         own = [node for node in below if part in tree.parts[node] and not tree.names[node].end]
         known = hands if part == "hand" else own
-        near = [node for node in known if tree.distance(wrist, node) < 0.6 * forearm]
+        near = [node for node in known if tree.distance(wrist, node) < reach]
         if part == "finger":
             near = _knuckles(tree, near, wrist, forearm)
         if near:

@@ -120,6 +120,7 @@ def _recognised(
     confidence = _confidence(tree, body, sides) * (1.0 if up_sure else _NO_UP)
     fault = _fault(tree, bodies, confidence, frozenset(vocabulary.terms.get("animal", ())))
     reasons = (*_reasons(tree, body, sides), up_reason)
+    fit = replace(fit, doubts=_nameless_end(tree, body))
     fit = replace(fit, estimated=found.estimated, reasons=reasons, confidence=round(confidence, 3))
     digest = hashlib.sha256(repr((fit.mapping.joints, fit.mapping.axes.tolist())).encode()).hexdigest()[:16]
     return replace(fit, mapping=replace(fit.mapping, digest=digest)), fault
@@ -163,6 +164,14 @@ def _upright(fit: Fit, tree: Tree, evidence: Evidence) -> tuple[Fit, str, bool]:
     axes = axes_of_up(judged.axis, bool(mirrored))
     mapping = replace(fit.mapping, axes=axes, root_axes=axes)
     return replace(fit, mapping=mapping), f"{judged.axis} is up: " + "; ".join(judged.reasons), True
+
+
+def _nameless_end(tree: Tree, body: Anatomy) -> tuple[str, ...]:
+    """Return a warning on a head that ends in a node without a known name, which may be the head or its end."""
+    last = body.head[-1] if body.head else -1
+    if last < 0 or tree.parts[last] or tree.names[last].end or tree.children[last]:
+        return ()
+    return (f"'{tree.names[last].text}' beyond the neck has no known name: it may be the head, or the end of the head",)
 
 
 def _root_axes(tree: Tree, body: Anatomy, sides: Sides, axes: F64) -> F64:

@@ -18,7 +18,8 @@ from kinedex.storage.formats.motion.body_models import BodyModel
 from kinedex.storage.formats.motion.bvh import BvhReader, fitted_person
 from kinedex.storage.formats.motion.bvh_parser import BvhFile
 from kinedex.storage.formats.motion.c3d import C3dReader
-from kinedex.storage.formats.motion.figures import BLOCK_FRAMES, Figure, FigureReader, fitted_figure
+from kinedex.storage.formats.motion.figure_poses import Figure
+from kinedex.storage.formats.motion.figures import BLOCK_FRAMES, FigureReader, fitted_figure
 from kinedex.storage.formats.motion.mapped_body import ParsedMotion
 from kinedex.storage.formats.motion.points import PointsReader
 from kinedex.storage.formats.motion.reader import Body, MotionFile, ReadSettings

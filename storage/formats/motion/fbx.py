@@ -15,7 +15,8 @@ from kinedex.ops.body.transforms import global_transforms, without_scale
 from kinedex.ops.errors import SourceError
 from kinedex.storage.formats.motion.fbx_records import FREE_BYTES
 from kinedex.storage.formats.motion.fbx_scene import BONES, Clip, Scene, SceneNode
-from kinedex.storage.formats.motion.figures import Figure, FigureReader, ScenePoses, figure_bytes, refuse_many_frames
+from kinedex.storage.formats.motion.figure_poses import Figure, ScenePoses
+from kinedex.storage.formats.motion.figures import FigureReader, figure_bytes, refuse_many_frames
 from kinedex.storage.formats.motion.reader import Extent, MotionFile, ReadSettings
 from kinedex.storage.formats.motion.scene_figures import (
     FigureClip,
@@ -142,6 +143,7 @@ def figure_of(scene: Scene, clip: FigureClip[Clip]) -> Figure:
         rate_hz=rate_hz,
         evidence=(_axes_in_words(scene.axes, unit), sentence, f"its rest pose is {posed}"),
         warnings=tuple(warnings),
+        turns=100.0 / unit * scene.axes @ rest,
     )
 
 

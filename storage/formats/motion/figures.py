@@ -6,26 +6,30 @@ The readers of glTF, FBX and MVNX files give figures in metres with Y up, by the
 from __future__ import annotations
 
 from abc import abstractmethod
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
-from typing import ClassVar, NamedTuple, Protocol
+from typing import ClassVar, NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
 from kinedex.catalog.skeletons.body_evidence import SAMPLED_FRAMES, Evidence
 from kinedex.catalog.skeletons.limb_doubts import limb_doubts
 from kinedex.catalog.skeletons.mappings import Fit, Format, Mappings
-from kinedex.catalog.skeletons.recognition.node_places import (
-    exchange_warning,
-    exchanged_names,
-    twist_nodes,
-    with_exchanged,
-)
+from kinedex.catalog.skeletons.recognition.node_places import exchange_warning, exchanged_names, with_exchanged
+from kinedex.catalog.skeletons.root_units import OTHER_ROOT_UNIT, root_factor
+from kinedex.ops.arrays import F64
 from kinedex.ops.body import kinematics
-from kinedex.ops.body.transforms import global_transforms, without_scale
 from kinedex.ops.errors import SourceError
+from kinedex.storage.formats.motion.figure_bones import (
+    RestoredBone,
+    bones_of_body,
+    bones_of_mapping,
+    lengthen,
+    measured_offsets,
+    with_bones,
+)
+from kinedex.storage.formats.motion.figure_poses import Figure
 from kinedex.storage.formats.motion.mapped_body import (
     UnitStatement,
     mapped_orientation,
@@ -38,107 +42,15 @@ from kinedex.storage.formats.motion.mapped_body import (
 from kinedex.storage.formats.motion.points import root_orientation
 from kinedex.storage.formats.motion.reader import Body, MotionFile, Reader, ReadSettings, body_bytes
 
-F64 = npt.NDArray[np.float64]
-I64 = npt.NDArray[np.int64]
-
 BLOCK_FRAMES = 1024
 """The largest number of frames that are posed at once."""
 
 MAX_FREE_FRAMES = 100_000
 """The number of frames that any clip may have; a longer one must have keys in a hundredth of its frames."""
 
-_NO_LENGTH_M, _APART_M = 1e-5, 0.01
+_APART_M = 0.01
 
 _LEVEL, _UPRIGHT = 3.0, 35.0  # largest tilt of hips and of spine, in degrees, in an upright rest pose
-
-
-class Poses(Protocol):
-    """The motion of a figure: positions of its nodes and rotations of some of them, in metres with Y up."""
-
-    def at(self, frames: I64, oriented: Sequence[int]) -> tuple[F64, F64]:
-        """Return the positions (N, 3, K) in K frames, and the rotations (M, 9, K) of M nodes from their rest pose."""
-        ...
-
-
-@dataclass(frozen=True)
-class ScenePoses:
-    """The poses of a figure whose nodes have transforms relative to their parents.
-
-    Attributes
-    ----------
-    parents : tuple of int
-        Index of the parent of each of M nodes: the figure's nodes and all their ancestors.
-    shown : tuple of int
-        Indices of the figure's N nodes among these.
-    local : callable
-        Returns rotation with scale (M, K, 3, 3), and positions (M, K, 3), of all M nodes relative to their parents at K
-        times in seconds.
-    start : float
-        Time of the first frame in seconds.
-    rate_hz : float
-        Frames per second.
-    axes : float64 array (3, 3)
-        The matrix from the scene's axes and unit to metres with Y up.
-    rest : float64 array (N, 3, 3)
-        The rotations of the nodes in the rest pose, in the scene's axes.
-    """
-
-    parents: tuple[int, ...]
-    shown: tuple[int, ...]
-    local: Callable[[F64], tuple[F64, F64]]
-    start: float
-    rate_hz: float
-    axes: F64
-    rest: F64
-
-    def at(self, frames: I64, oriented: Sequence[int]) -> tuple[F64, F64]:
-        """Return the positions of the nodes (N, 3, K), and the rotations (M, 9, K) of some from their rest pose."""
-        with np.errstate(over="ignore", invalid="ignore"):  # joints with such numbers are refused later as too far away
-            whole, positions = global_transforms(self.parents, *self.local(self.start + frames / self.rate_hz))
-            shown = positions[list(self.shown)] @ self.axes.T
-        nodes = list(oriented)
-        turned = without_scale(whole[[self.shown[node] for node in nodes]])
-        turned = turned @ self.rest[nodes].transpose(0, 2, 1)[:, None]
-        axes = self.axes / np.cbrt(abs(np.linalg.det(self.axes)))  # the axes may be a reflection
-        rows = (axes @ turned @ axes.T).reshape(*turned.shape[:2], 9).transpose(0, 2, 1)
-        return np.ascontiguousarray(shown.transpose(0, 2, 1)), rows
-
-
-@dataclass(frozen=True)
-class Figure:
-    """A tree of named nodes with its motion.
-
-    Attributes
-    ----------
-    names : tuple of str
-        Names of N nodes, all different.
-    parents : tuple of int
-        Index of each node's parent, which precedes it; −1 for a root.
-    rest : float64 array (N, 3)
-        Positions of the nodes in the rest pose, in metres, Y up.
-    poses : Poses
-        The motion.
-    frames : int
-        The number of frames.
-    rate_hz : float
-        Frames per second that the file states or that its times suggest.
-    evidence : tuple of str
-        Sentences on how the file was read, for `kinedex inspect`.
-    warnings : tuple of str
-        Warnings about the file.
-    upright : bool
-        True if, by the format's definition, all nodes are unrotated when the body stands upright and faces forward.
-    """
-
-    names: tuple[str, ...]
-    parents: tuple[int, ...]
-    rest: F64
-    poses: Poses
-    frames: int
-    rate_hz: float
-    evidence: tuple[str, ...] = ()
-    warnings: tuple[str, ...] = ()
-    upright: bool = False
 
 
 class FigureReader(Reader):
@@ -232,7 +144,7 @@ class FittedFigure(NamedTuple):
     upturned : tuple of str
         The reasons for rotating the mapping.
     bones : tuple of str
-        The bones that were given a length.
+        The bones that the mapping gives a length.
     """
 
     figure: Figure
@@ -256,75 +168,52 @@ def fitted_figure(path: Path, figure: Figure, mappings: Mappings, joints: tuple[
     pairs = exchanged_names(figure.names, figure.parents)
     doubts = exchange_warning(figure.names, pairs)
     figure = replace(figure, names=with_exchanged(figure.names, pairs)) if pairs else figure
-    evidence = _evidence(figure, places)
-    fit = mappings.detect(path, "bvh", {name: i for i, name in enumerate(figure.names)}, evidence)
+    lost, of_body = bones_of_body(figure, measured_offsets(figure, places))
+    if of_body:
+        places, turns = figure.poses.at(sampled, [bone.parent for bone in of_body])
+        lengthen(places, of_body, turns)
+        figure = with_bones(figure, of_body)
+    offsets = measured_offsets(figure, places)
+    evidence = _evidence(figure, places, offsets)
+    nodes = {name: i for i, name in enumerate(figure.names) if not name.endswith("_end") or offsets[i].any()}
+    fit = mappings.detect(path, "bvh", nodes, evidence)
+    fit = lost.marked(fit, figure.names) if lost is not None else fit
     fit = replace(fit, doubts=(*doubts, *fit.doubts)) if doubts else fit
-    bones = _lost_bones(figure, fit, places)
-    if bones:
-        rest = figure.rest.copy()
-        for bone in bones:
-            rest[list(bone.members)] += bone.way
-        figure = replace(figure, rest=rest)
-    positions, turned = _posed(figure, fit, joints, bones)
+    of_mapping = bones_of_mapping(figure, fit, places)
+    figure = with_bones(figure, of_mapping)
+    positions, root, turned = _posed(figure, fit, joints, [*of_body, *of_mapping])
     fit, upturned = (fit, ()) if figure.upright else turned_upright(fit, figure.rest, positions, joints)
-    return FittedFigure(
-        figure, fit, positions, turned, upturned, tuple(figure.names[bone.members[0]] for bone in bones)
-    )
+    factor = None if figure.upright else root_factor(positions, joints)
+    if factor is not None:
+        positions += (factor - 1.0) * (fit.mapping.axes @ root)
+        doubt = f"{OTHER_ROOT_UNIT}: times {factor:.4g} the feet stand on the floor; it is read so"
+        fit = replace(fit, doubts=(*fit.doubts, doubt))
+    names = tuple(figure.names[bone.members[0]] for bone in of_mapping)
+    return FittedFigure(figure, fit, positions, turned, upturned, names)
 
 
-def _evidence(figure: Figure, positions: F64) -> Evidence:
+def _evidence(figure: Figure, positions: F64, offsets: F64) -> Evidence:
     """Return the evidence for recognising a figure; bones whose length is a rounding error have length 0."""
-    positions, offsets = positions.copy(), figure.rest.copy()
+    positions = positions.copy()
     for node, above in enumerate(figure.parents):
-        if above >= 0:
-            offsets[node] -= figure.rest[above]
-            if np.abs(positions[node] - positions[above]).max() < _NO_LENGTH_M:
-                positions[node], offsets[node] = positions[above], 0.0
+        if above >= 0 and not offsets[node].any():
+            positions[node] = positions[above]
     return Evidence(figure.names, positions, figure.parents, offsets, "y" if figure.upright else None, 1.0)
 
 
-@dataclass(frozen=True)
-class _Bone:
-    """A bone without length in the file: its node with all descendants, its parent, and its intended vector."""
-
-    members: tuple[int, ...]
-    parent: int
-    way: F64
-
-
-def _lost_bones(figure: Figure, fit: Fit, positions: F64) -> list[_Bone]:
-    """Return the bones that have no length in sampled frames, but one in the mapping."""
-    bones = []
-    above = list(figure.parents)
-    for i in sorted(twist_nodes(figure.names, figure.parents)):
-        above = [figure.parents[i] if parent == i else parent for parent in above]
-    for name, weights in fit.mapping.bones.items():
-        node = fit.indices[name]
-        parent = figure.parents[node]
-        if parent < 0 or np.abs(positions[node] - positions[parent]).max() > _NO_LENGTH_M:
-            continue
-        others = [(weight, fit.indices[other]) for other, weight in weights.items()]
-        way = sum(weight * (figure.rest[other] - figure.rest[above[other]]) for weight, other in others)
-        members = [node]
-        for i, one in enumerate(figure.parents):
-            if one in members:
-                members.append(i)
-        bones.append(_Bone(tuple(members), parent, np.asarray(way)))
-    return bones
-
-
-def _posed(figure: Figure, fit: Fit, joints: tuple[str, ...], bones: Sequence[_Bone]) -> tuple[F64, F64]:
-    """Return the joints (J, 3, T) and the root's rotation from its rest pose (9, T), computed in blocks of frames."""
+def _posed(figure: Figure, fit: Fit, joints: tuple[str, ...], bones: Sequence[RestoredBone]) -> tuple[F64, F64, F64]:
+    """Return the joints (J, 3, T), and the root node's place (3, T) and rotation from its rest pose (9, T)."""
     positions, turned = np.empty((len(joints), 3, figure.frames)), np.empty((9, figure.frames))
+    root = np.empty((3, figure.frames))
     step = _at_once(len(figure.names))
     for start in range(0, figure.frames, step):
         part = np.arange(start, min(start + step, figure.frames))
         places, rotations = figure.poses.at(part, [fit.root, *(bone.parent for bone in bones)])
         turned[:, part] = rotations[0]
-        for bone, turn in zip(bones, rotations[1:], strict=True):
-            places[list(bone.members)] += np.einsum("abk,b->ak", turn.reshape(3, 3, -1), bone.way)
+        lengthen(places, bones, rotations[1:])
+        root[:, part] = places[fit.root]
         positions[:, :, part] = fit.apply(places, joints)
-    return positions, turned
+    return positions, root, turned
 
 
 def _orientation(fit: Fit, figure: Figure, turned: F64, positions: F64, joints: tuple[str, ...], upturned: bool) -> F64:

@@ -12,7 +12,8 @@ import numpy.typing as npt
 from kinedex.catalog.skeletons.mappings import Mappings
 from kinedex.ops.body.keyframe_tracks import OFF_GRID, likely_rate, sample_track
 from kinedex.ops.body.transforms import global_transforms, rotations, without_scale
-from kinedex.storage.formats.motion.figures import Figure, FigureReader, ScenePoses, figure_bytes, refuse_many_frames
+from kinedex.storage.formats.motion.figure_poses import Figure, ScenePoses
+from kinedex.storage.formats.motion.figures import FigureReader, figure_bytes, refuse_many_frames
 from kinedex.storage.formats.motion.gltf_document import Animation, Document, Sampler, matrix_parts, read_gltf
 from kinedex.storage.formats.motion.reader import Extent, MotionFile, ReadSettings
 from kinedex.storage.formats.motion.scene_figures import (
@@ -197,6 +198,7 @@ def _figure(document: Document, clip: FigureClip[Animation]) -> Figure:
         rate_hz=rate_hz,
         evidence=evidence,
         warnings=warnings,
+        turns=axes @ rest,
     )
 
 

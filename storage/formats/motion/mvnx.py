@@ -11,9 +11,11 @@ import numpy as np
 import numpy.typing as npt
 
 from kinedex.catalog.skeletons.mappings import Mappings
+from kinedex.ops.arrays import I64
 from kinedex.ops.body.transforms import rotations
 from kinedex.ops.errors import SourceError
-from kinedex.storage.formats.motion.figures import I64, Figure, FigureReader, figure_bytes
+from kinedex.storage.formats.motion.figure_poses import Figure
+from kinedex.storage.formats.motion.figures import FigureReader, figure_bytes
 from kinedex.storage.formats.motion.reader import FASTEST_HZ, SLOWEST_HZ, Extent, MotionFile, ReadSettings
 from kinedex.storage.formats.motion.scene_figures import chosen_person
 from kinedex.storage.formats.mvnx import Subject, count_elements, read_mvnx, subject_names
