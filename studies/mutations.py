@@ -1,8 +1,9 @@
 """`python -m studies.mutations DATA [--hold FORMAT]`: change one thing in a motion file and see whether a joint moves.
 
 DATA is a folder with `c3d`, `wild`, `cameras`, `cmu`, `bandai` and `hdm05`. Recordings that are read rightly are
-written anew with one mutation each (studies/point_mutations.py, studies/skeleton_mutations.py), read again, and
-compared with what was read before. One line for each format and mutation counts the outcomes:
+written anew with one mutation each (studies/point_mutations.py, skeleton_mutations.py, acclaim_mutations.py,
+scene_mutations.py), read again, and compared with what was read before. Skeletons of AMC files also change after a
+store has taken them in (ingested_skeletons.py). One line for each format and mutation counts the outcomes:
 
 right
     Every joint is within 2 cm of its place in the frames that have one.
@@ -25,7 +26,7 @@ import sys
 import tempfile
 from collections import Counter, defaultdict
 from collections.abc import Callable, Iterable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import chain
 from pathlib import Path
 from typing import TypeVar
@@ -44,14 +45,17 @@ from kinedex.storage.formats.motion.reader_table import read_body
 from kinedex.storage.formats.motion.sources import scan
 from studies.acclaim_mutations import AcclaimMutation, AcclaimText, acclaim_files, acclaim_mutations
 from studies.acclaim_mutations import write as write_acclaim
+from studies.ingested_skeletons import stored_trials, with_frames
 from studies.point_mutations import FORMS, Mutation, Recording, point_mutations, recordings
+from studies.scene_mutations import SceneMutation, fbx_files, gltf_files, scene_mutations
 from studies.skeleton_mutations import BvhText, SkeletonMutation, bvh_files, bvh_mutations, write
 
 FEATURES = load_feature_set()
 JOINTS = FEATURES.joints
 MAPPINGS = load_mappings("auto", JOINTS)
 RIGHT_M, ESTIMATED_M = 0.02, 0.05
-SKELETONS = ("BVH", "AMC")
+STORED_FRAMES = 60
+SKELETONS = ("BVH", "AMC", "glTF", "FBX")
 _ONE_LABEL = ("label hidden in all frames", "label removed", "label renamed to nonsense", "label duplicated")
 OUTCOMES = ("right", "estimated", "warned", "refused", "silent", "not knowable")
 
@@ -164,7 +168,7 @@ def bvh_trials(found: list[BvhText], given: argparse.Namespace) -> Iterator[Tria
                 yield "BVH", mutation.name, f"{file.name}: {mutation.what}", judged(path, control, mutation.knowable)
 
 
-AnyMutation = TypeVar("AnyMutation", Mutation, SkeletonMutation, AcclaimMutation)
+AnyMutation = TypeVar("AnyMutation", Mutation, SkeletonMutation, AcclaimMutation, SceneMutation)
 
 
 def acclaim_trials(found: list[AcclaimText], given: argparse.Namespace) -> Iterator[Trial]:
@@ -178,6 +182,30 @@ def acclaim_trials(found: list[AcclaimText], given: argparse.Namespace) -> Itera
                 path = write_acclaim(folder, mutation.file)
                 what = f"{file.name}: {mutation.what}"
                 yield "AMC", mutation.name, what, judged(path, control, mutation.knowable, read_beside)
+
+
+def stored_skeleton_trials(found: list[AcclaimText], given: argparse.Namespace) -> Iterator[Trial]:
+    """Yield the trials of folders that are taken into a store again after their skeleton has changed."""
+    for file in found[: given.trials]:
+        for change, kind, detail in stored_trials(with_frames(file, STORED_FRAMES), found):
+            yield "AMC", "skeleton changed after ingest", f"{file.name}: {change.what}", Outcome(kind, detail)
+
+
+def scene_trials(data: Path, form: str, given: argparse.Namespace) -> Iterator[Trial]:
+    """Yield the trials of glTF or FBX files."""
+    bvh = bvh_files(data)
+    found = gltf_files(bvh, read) if form == "glTF" else fbx_files(data, bvh, read)
+    with tempfile.TemporaryDirectory() as folder:
+        for file in found:
+            path = Path(folder) / f"take{file.ending}"
+            random = np.random.default_rng([given.seed, sum(file.name.encode())])
+            file.write(path)
+            control = read(path)
+            for mutation in drawn(scene_mutations(file, control, JOINTS, random), given.trials, random):
+                mutation.file.write(path)
+                right = replace(control, positions=mutation.size * control.positions)
+                what = f"{file.name}: {mutation.what}"
+                yield form, mutation.name, what, judged(path, right, mutation.knowable)
 
 
 def drawn(found: Iterable[AnyMutation], most: int | None, random: np.random.Generator) -> Iterator[AnyMutation]:
@@ -207,8 +235,10 @@ def main() -> int:
     forms = given.hold or [*FORMS, *SKELETONS]
     of_points = (trial for form in forms if form in FORMS for trial in trials(found, form, given))
     of_skeletons = bvh_trials(bvh_files(given.data), given) if "BVH" in forms else ()
-    of_acclaim = acclaim_trials(acclaim_files(given.data), given) if "AMC" in forms else ()
-    for form, mutation, what, outcome in chain(of_points, of_skeletons, of_acclaim):
+    acclaim = acclaim_files(given.data) if "AMC" in forms else []
+    of_acclaim = chain(acclaim_trials(acclaim, given), stored_skeleton_trials(acclaim, given))
+    of_scenes = (trial for form in ("glTF", "FBX") if form in forms for trial in scene_trials(given.data, form, given))
+    for form, mutation, what, outcome in chain(of_points, of_skeletons, of_acclaim, of_scenes):
         counts[form, mutation][outcome.kind] += 1
         if outcome.kind in given.show:
             shown.append(f"{outcome.kind}: {form}, {mutation}, {what}: {outcome.detail}")

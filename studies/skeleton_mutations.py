@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 
 from kinedex.ops.arrays import F64
+from studies.turns import about
 from studies.wild_variants import euler_angles
 
 FRAMES = 240
@@ -162,7 +163,7 @@ def _reordered(made: BvhText) -> BvhText:
         columns = [made.columns(i).start + one.channels.index(name) for name in turning]
         turn = np.broadcast_to(np.eye(3), (len(values), 3, 3))
         for name, column in zip(turning, columns, strict=True):
-            turn = turn @ _about("xyz".index(name[0].lower()), np.deg2rad(made.values[:, column]))
+            turn = turn @ about("xyz".index(name[0].lower()), np.deg2rad(made.values[:, column]))
         values[:, columns] = np.rad2deg(np.stack(euler_angles(turn, (1, 0, 2)), axis=1))
         order = iter(("Yrotation", "Xrotation", "Zrotation"))
         channels = tuple(next(order) if name in turning else name for name in one.channels)
@@ -170,29 +171,20 @@ def _reordered(made: BvhText) -> BvhText:
     return replace(made, nodes=tuple(nodes), values=values)
 
 
-def _about(axis: int, angle: F64) -> F64:
-    """Return rotation matrices (T, 3, 3) about an axis."""
-    i, j = (axis + 1) % 3, (axis + 2) % 3
-    turn = np.repeat(np.eye(3)[None], len(angle), axis=0)
-    turn[:, i, i] = turn[:, j, j] = np.cos(angle)
-    turn[:, j, i] = np.sin(angle)
-    turn[:, i, j] = -turn[:, j, i]
-    return turn
-
-
 def bvh_mutations(made: BvhText) -> Iterator[SkeletonMutation]:
     """Yield mutations of a BVH file, each of them a whole file."""
     joints = [i for i, one in enumerate(made.nodes) if one.name and one.parent >= 0]
+    names, parents = ({i: getattr(one, key) for i, one in enumerate(made.nodes)} for key in ("name", "parent"))
     for i in joints:
         name = made.nodes[i].name
         yield SkeletonMutation("joint renamed", name, _with(made, i, name=f"xq{i}z"))
         if any(made.nodes[i].offset):
             empty = _with(made, i, offset=(0.0, 0.0, 0.0))
-            yield SkeletonMutation("bone of no length", name, empty, knowable=not _only_legs(made, i))
+            yield SkeletonMutation("bone of no length", name, empty, knowable=not is_at_root(i, names, parents))
         yield SkeletonMutation("added twist joint", name, _inserted(made, i))
     by_name = {one.name: i for i, one in enumerate(made.nodes)}
     for name, i in by_name.items():
-        other = by_name.get(_other_side(name)) if _other_side(name) else None
+        other = by_name.get(other_side(name)) if other_side(name) else None
         if other is not None:
             twin = made.nodes[other].name
             yield SkeletonMutation("left and right exchanged", name, _with(_with(made, i, name=twin), other, name=name))
@@ -208,15 +200,20 @@ def bvh_mutations(made: BvhText) -> Iterator[SkeletonMutation]:
     yield SkeletonMutation("origin far away", "", replace(made, values=shifted))
 
 
-def _only_legs(made: BvhText, node: int) -> bool:
+def is_at_root(node: int, names: Mapping[int, str], parents: Mapping[int, int]) -> bool:
     """Return whether only both legs hang from a joint below the root, which may as well lie at the root."""
-    one = made.nodes[node]
-    below = [other.name for other in made.nodes if other.parent == node]
-    beside = [other.name for other in made.nodes if other.parent == one.parent and other is not one]
-    return one.parent == 0 and len(below) == 2 and _other_side(below[0]) == below[1] and len(beside) == 1
+    above = parents[node]
+    below = [names[other] for other in names if parents.get(other) == node]
+    beside = [other for other in names if parents.get(other) == above and other != node]
+    return (
+        parents.get(above, -1) not in names
+        and len(below) == 2
+        and other_side(below[0]) == below[1]
+        and len(beside) == 1
+    )
 
 
-def _other_side(name: str) -> str:
+def other_side(name: str) -> str:
     """Return the name of the joint of the other side; an empty text if a name has no side."""
     for left, right in (("Left", "Right"), ("left", "right"), ("L_", "R_"), ("_L", "_R"), ("_l", "_r")):
         if left in name:
