@@ -85,6 +85,12 @@ DOCUMENTS: dict[str, dict[str, str]] = {
         for name in ("import", "add", "change", "remove", "accept", "reject")
     },
     "labels list": {**_STORE, "labels": "rows of the view `labels`, or of `label_history`"},
+    "labels suspects": {
+        **_STORE,
+        "judged": "number of labels that were judged",
+        "remarks": "how many labels cannot be judged, and why",
+        "suspects": "for each label what `--format json` shows",
+    },
     "inspect": {
         "file": "path of the file",
         "facts": "what was found out, each with `name` and `value`",

@@ -394,6 +394,41 @@ def list_(
 
 
 @command(of=labels)
+def suspects(
+    store: StorePath,
+    top: Annotated[int, typer.Option(min=1, help="Largest number of labels.")] = 20,
+    *,
+    chosen_by: LabelFilter,
+    output: Output,
+    as_json: JsonOption = False,
+    at: AtOption = None,
+) -> None:
+    """List the labels that are probably wrong, with what fits better.
+
+    A label can name a wrong class or side of the body, have wrong edges, or be of frames at a wrong rate. Each is
+    judged by the labels, and the classes of takes, that other takes have.
+    """
+    from kinedex.library.label_suspects import label_suspects
+    from kinedex.ops.wording import counted
+    from kinedex.pipelines.labels.row_selection import selected_rows
+
+    opened = open_for_reading(store, at)
+    found = label_suspects(opened)
+    chosen = chosen_by.selection(opened, every=True)
+    table = selected_rows(found.rows, chosen, "suspect", keep_order=True).to_arrow().cast(found.rows.schema)
+    shown = table.slice(0, top)
+    if as_json:
+        print_json({"store": store, "judged": found.judged, "remarks": found.remarks, "suspects": shown})
+        return
+    for remark in found.remarks:
+        typer.echo(visible(remark), err=True)
+    plain = ["take", "class", "start", "stop", "suspicion", "probability", "kind", "proposal"]
+    output.show(shown.select(plain) if output.is_plain else shown)
+    if output.is_plain:
+        print_message(f"{shown.num_rows:,} of {table.num_rows:,}; {counted(found.judged, 'label')} judged")
+
+
+@command(of=labels)
 def accept(
     store: StorePath,
     *,

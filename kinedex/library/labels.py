@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
@@ -282,6 +283,44 @@ class Labels:
         """
         return self._decide(annotations, False, annotator, note)
 
+    def suspects(self, where: str | None = None) -> pl.DataFrame:
+        """Return the labels that are probably wrong, the most suspect first.
+
+        Each label, and each class that a take has of its path or of a table, is judged by those of other takes. Others
+        that fit better are another class, the other side of the body, other edges, or twice or half the rate.
+
+        Parameters
+        ----------
+        where : str, optional
+            A SQL filter over the columns of the result, such as ``"kind = 'edges' AND suspicion > 3"``.
+
+        Returns
+        -------
+        polars.DataFrame
+            One row for each label that something else fits better: ``take``, ``take_id``, ``class``, ``start``,
+            ``stop``; ``suspicion``, how far it fits better than is usual in the class, in spreads of the class;
+            ``probability`` of the class, by other takes; ``kind`` ("class", "side", "edges" or "rate"); ``proposal``,
+            a text, with ``new_class``, ``new_start``, ``new_stop`` and ``rate_factor`` where they apply; ``source``
+            ("clip" or "label"), and the ``id`` of a label.
+
+        Raises
+        ------
+        KinedexError
+            The filter is not valid; the message names the columns.
+
+        Examples
+        --------
+        >>> store.labels.suspects("suspicion > 5").select("take", "class", "kind").columns
+        ['take', 'class', 'kind']
+        """
+        from kinedex.library.label_suspects import label_suspects
+        from kinedex.pipelines.labels.row_selection import RowSelection, selected_rows
+
+        found = label_suspects(self._stored)
+        for remark in found.remarks:
+            warnings.warn(remark, UserWarning, stacklevel=3)
+        return selected_rows(found.rows, RowSelection(where=where, every=True), "suspect", keep_order=True)
+
     def _decide(self, annotations: pl.DataFrame, accept: bool, annotator: str | None, note: str | None) -> pl.DataFrame:
         from kinedex.pipelines.labels.decisions import decide_annotations
 
@@ -348,8 +387,6 @@ class Labels:
 
 def _rows(done: RecordedDecisions) -> pl.DataFrame:
     """Return the new rows, and warn about excluded rows."""
-    import warnings
-
     for remark in done.remarks:
         warnings.warn(remark, UserWarning, stacklevel=4)
     return data_frame(done.rows)

@@ -1,0 +1,367 @@
+"""This module ranks labels by how much better another label would fit: another class, side, interval or rate.
+
+Each label is judged by what the labels of other takes teach. The descriptor of its frames is compared with its class,
+as it is and as it would be under another label: its distances to other classes, that of its mirror image, those of
+intervals around it, and those of its frames at twice and half the rate. How much nearer the best of these comes is
+measured against what is usual among the labels of the class, since some classes have looser edges and nearer
+neighbours than others. Labels that are probably wrong do not teach.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass
+from typing import Literal, NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from kinedex.ops.arrays import F64, I64
+from kinedex.ops.body.facing_direction import mirrored_positions
+from kinedex.ops.numeric.channels import channels
+from kinedex.ops.numeric.class_densities import ClassSums
+from kinedex.ops.numeric.span_descriptors import SpanSums
+
+BoolArray = npt.NDArray[np.bool_]
+Kind = Literal["class", "side", "edges", "rate"]
+
+KINDS: tuple[Kind, ...] = ("class", "side", "edges", "rate")
+"""The kinds of mistakes: another class, the other side of the body, other edges, a wrong rate of the frames."""
+
+LEAST_FRAMES = 3
+"""The fewest frames of a label that can be judged."""
+
+SHIFTS = (-0.5, -0.35, -0.25, -0.15, 0.0, 0.15, 0.25, 0.35, 0.5)
+"""The shares of a label's length by which its edges are moved."""
+
+MOST_MOVED = 0.75
+"""The largest sum of both shifts, unless both edges are moved alike."""
+
+SHORTEST = 0.3
+"""The shortest interval in place of a label, as a share of its length."""
+
+MARGIN_FRAMES = 8
+"""The frames around all of these intervals that smoothing reaches into."""
+
+RATES = (2.0, 0.5)
+"""The factors of the rate that are tried."""
+
+TEMPERATURE = 3.0
+"""The divisor of log densities in probabilities, since numbers that vary together make them too certain."""
+
+DOUBTED = 0.1
+"""Labels whose own class has less than this probability do not teach."""
+
+MOST_FOLDS = 64
+"""The largest number of parts that takes are divided into, each of which is left out once."""
+
+USUAL = 4.0
+"""The number of labels as which the labels of all classes count in what is usual in a class."""
+
+POOLED_SHARE = 0.3
+"""The share of the spread in all classes that is added to the spread in a class."""
+
+SIDE_SHARE = 0.8
+"""The share of another class's gain from which on the gain of the mirror image says that the side is wrong."""
+
+
+ONE_SIDED = 6.0
+"""The least log density by which a class's labels usually fit better than their mirror images, if it has a side."""
+
+
+class Place(NamedTuple):
+    """A label: the number of its take, and its class."""
+
+    take: int
+    label: str
+
+
+class Window(NamedTuple):
+    """A label's frames and those around it, within `context_of` its interval.
+
+    Attributes
+    ----------
+    positions : float64 array (L, J, 3)
+        The joints in metres, Y up; NaN where they are not known.
+    start, stop : int
+        The label within them.
+    """
+
+    positions: F64
+    start: int
+    stop: int
+
+
+@dataclass(frozen=True)
+class Judgement:
+    """The judgement of a label by the labels of other takes.
+
+    Attributes
+    ----------
+    reason : str
+        Why the label cannot be judged; empty if it can.
+    probability : float
+        The probability of its class, by the labels of other takes.
+    suspicion : float
+        How much better the best other explanation fits than is usual in its class, in spreads of the class.
+    kind : str
+        The kind of mistake, one of `KINDS`; empty if nothing fits better.
+    label : str
+        The class that fits best among the others, for the kinds "class" and "side"; empty if there is none.
+    interval : (int, int), optional
+        The interval that fits best, within the window of the label, for the kind "edges".
+    rate_factor : float, optional
+        The factor of the rate that fits best, of `RATES`, for the kind "rate".
+    """
+
+    reason: str = ""
+    probability: float = float("nan")
+    suspicion: float = float("nan")
+    kind: Kind | Literal[""] = ""
+    label: str = ""
+    interval: tuple[int, int] | None = None
+    rate_factor: float | None = None
+
+
+Windows = Callable[[], Iterable[tuple[int, Window]]]
+"""Returns the window of each label with the label's number, in any order; it is called twice."""
+
+
+def context_of(start: int, stop: int, frames: int) -> tuple[int, int]:
+    """Return the interval around a label that judging it reads, within a take of so many frames."""
+    around = int(np.ceil(SHIFTS[-1] * (stop - start))) + MARGIN_FRAMES
+    return max(start - around, 0), min(stop + around, frames)
+
+
+def judge_labels(places: Sequence[Place], windows: Windows, joints: Sequence[str], rate_hz: float) -> list[Judgement]:
+    """Judge each label by those of other takes.
+
+    Parameters
+    ----------
+    places : sequence of Place
+        The takes and the classes of N labels.
+    windows : callable
+        Returns the windows of the labels.
+    joints : sequence of str
+        The names of the joints, the root first.
+    rate_hz : float
+        Frames per second.
+
+    Returns
+    -------
+    list of Judgement, length N
+    """
+    names = sorted({one.label for one in places})
+    classes = np.array([names.index(one.label) for one in places], np.int64)
+    reasons = ["not given"] * len(places)
+    descriptors: dict[int, F64] = {}
+    for number, window in windows():
+        reasons[number] = _reason(window)
+        if not reasons[number]:
+            descriptors[number] = _as_labelled(window, joints, rate_hz)
+    known = np.array(sorted(descriptors), np.int64)
+    alone = np.bincount(classes[known], minlength=len(names))[classes] < 2
+    for number in known[alone[known]].tolist():
+        reasons[number] = "no other label of its class can be judged"
+    found = [Judgement(reason) for reason in reasons]
+    if alone[known].all():
+        return found
+    takes = np.array([one.take for one in places], np.int64)[known]
+    every = np.stack([descriptors[number] for number in known.tolist()])
+    taught = _LeftOut(every[:, 0], classes[known], _folds(takes, classes[known]), len(names))
+    moved = _moved(windows, taught, dict(zip(known.tolist(), range(len(known)), strict=True)), joints, rate_hz)
+    for row, judgement in zip(*_judged(taught, every, moved, names, ~alone[known]), strict=True):
+        found[int(known[row])] = judgement
+    return found
+
+
+def _reason(window: Window) -> str:
+    """Return why the label of a window cannot be judged; empty if it can."""
+    if window.stop - window.start < LEAST_FRAMES:
+        return f"it has fewer than {LEAST_FRAMES} frames"
+    if not np.isfinite(window.positions[window.start : window.stop]).all():
+        return "joints are not known in all of its frames"
+    return ""
+
+
+def _known_part(window: Window) -> Window:
+    """Return the frames of a window around its label in which all joints are known."""
+    unknown = np.flatnonzero(~np.isfinite(window.positions).all(axis=(1, 2)))
+    first = int(unknown[unknown < window.start].max(initial=-1)) + 1
+    last = int(unknown[unknown >= window.stop].min(initial=len(window.positions)))
+    return Window(window.positions[first:last], window.start - first, window.stop - first)
+
+
+def _as_labelled(window: Window, joints: Sequence[str], rate_hz: float) -> F64:
+    """Return the descriptors of a label: as it is, in the mirror, and at each of `RATES`, float64 (4, D)."""
+    positions, start, stop = _known_part(window)
+    edges = np.array([start]), np.array([stop])
+    bodies = [(positions, rate_hz), (mirrored_positions(positions, joints), rate_hz)]
+    bodies += [(positions, factor * rate_hz) for factor in RATES]
+    return np.concatenate([SpanSums(channels(body, joints, rate), rate).describe(*edges) for body, rate in bodies])
+
+
+def _folds(takes: I64, classes: I64) -> I64:
+    """Divide labels into parts that are left out together: those of a take, or single ones of classes in one take."""
+    names, own = np.unique(takes, return_inverse=True)
+    count = max(min(len(names), MOST_FOLDS), 2)
+    folds: I64 = own % count
+    for one in range(int(classes.max()) + 1):
+        places = np.flatnonzero(classes == one)
+        if len(places) and len(np.unique(folds[places])) == 1:
+            folds[places] = np.arange(len(places)) % count
+    return folds
+
+
+class _LeftOut:
+    """The densities of the classes for each part of the labels, of the labels that are not in it.
+
+    Parameters
+    ----------
+    descriptors : float64 array (E, D)
+        The descriptors of the labels.
+    classes, folds : int64 array (E,)
+        The class and the part of each label.
+    count : int
+        The number of classes.
+    """
+
+    def __init__(self, descriptors: F64, classes: I64, folds: I64, count: int) -> None:
+        self.classes, self.folds = classes, folds
+        self._sums = ClassSums(descriptors, classes, count)
+        self._fit(np.zeros(len(classes), np.bool_))
+        doubted = self.probabilities(self.distances(descriptors)) < DOUBTED
+        for one in range(count):  # what most labels of a class are like is what the class is
+            own = classes == one
+            if len(np.unique(folds[own & ~doubted])) < 2 or 2 * doubted[own].sum() > own.sum():
+                doubted[own] = False
+        self._fit(doubted)
+
+    def _fit(self, excluded: BoolArray) -> None:
+        self.densities = [
+            self._sums.without(np.flatnonzero((self.folds == fold) | excluded))
+            for fold in range(int(self.folds.max()) + 1)
+        ]
+
+    def distances(self, descriptors: F64) -> F64:
+        """Return the squared distances (E, P) of a descriptor of each label to the classes that others teach."""
+        found = np.empty((len(descriptors), len(self.densities[0].means)))
+        for fold, one in enumerate(self.densities):
+            found[self.folds == fold] = one.squared_distances(descriptors[self.folds == fold])
+        return found
+
+    def probabilities(self, distances: F64) -> F64:
+        """Return the probability of each label's own class, of its distances to all."""
+        logs = -distances / (2.0 * TEMPERATURE)
+        shares = np.exp(logs - logs.max(axis=1, keepdims=True))
+        return self.own(shares) / shares.sum(axis=1)
+
+    def own(self, values: F64) -> F64:
+        """Return of values (E, P) those of each label's own class, float64 (E,)."""
+        found: F64 = np.take_along_axis(values, self.classes[:, None], axis=1)[:, 0]
+        return found
+
+
+class _Moved(NamedTuple):
+    """The interval around each of E labels that is nearest to its class: its squared distance, and its frames."""
+
+    distances: F64
+    starts: I64
+    stops: I64
+
+
+def _moved(windows: Windows, taught: _LeftOut, rows: dict[int, int], joints: Sequence[str], rate_hz: float) -> _Moved:
+    """Return the best other interval of each label; `rows` are the rows of the labels' numbers."""
+    found = _Moved(np.full(len(rows), np.inf), np.zeros(len(rows), np.int64), np.zeros(len(rows), np.int64))
+    for number, window in windows():
+        row = rows.get(number)
+        if row is None:
+            continue
+        positions, start, stop = _known_part(window)
+        starts, stops = _intervals(start, stop, len(positions))
+        if len(starts):
+            descriptors = SpanSums(channels(positions, joints, rate_hz), rate_hz).describe(starts, stops)
+            densities = taught.densities[taught.folds[row]]
+            distances = densities.squared_distances(descriptors)[:, taught.classes[row]]
+            best = int(distances.argmin())
+            before = window.start - start  # the frames of the window that are not known
+            found.distances[row] = distances[best]
+            found.starts[row], found.stops[row] = starts[best] + before, stops[best] + before
+    return found
+
+
+def _intervals(start: int, stop: int, frames: int) -> tuple[I64, I64]:
+    """Return the starts and stops of the intervals around a label that are tried in its place."""
+    length = stop - start
+    shifts = [
+        (first, last) for first in SHIFTS for last in SHIFTS if first == last or abs(first) + abs(last) <= MOST_MOVED
+    ]
+    edges = np.rint(np.array(shifts) * length).astype(np.int64)
+    edges += [start, stop]
+    edges = np.unique(edges.clip(0, frames), axis=0)
+    lengths = edges[:, 1] - edges[:, 0]
+    fits = (lengths >= max(LEAST_FRAMES, SHORTEST * length)) & np.any(edges != [start, stop], axis=1)
+    return edges[fits, 0], edges[fits, 1]
+
+
+def _judged(
+    taught: _LeftOut, descriptors: F64, moved: _Moved, names: Sequence[str], chosen: BoolArray
+) -> tuple[I64, list[Judgement]]:
+    """Return the rows of chosen labels, and their judgements."""
+    rows = np.flatnonzero(chosen)
+    distances = taught.distances(descriptors[:, 0])
+    others = np.where(np.arange(len(names)) == taught.classes[:, None], np.inf, distances)
+    images = [taught.own(taught.distances(descriptors[:, place])) for place in range(1, 4)]
+    best = np.stack([others.min(axis=1), images[0], moved.distances, np.minimum(*images[1:])])
+    gains = 0.5 * (taught.own(distances)[rows] - best[:, rows])
+    gains[1, _two_sided(gains[1], taught.classes[rows])] = -np.inf
+    excess = np.stack([_spreads(one, taught.classes[rows]) for one in gains])
+    suspicion = np.where(gains > 0, excess, -np.inf).max(axis=0)
+    weights = gains.copy()
+    weights[1] = np.where(gains[1] > SIDE_SHARE * gains[0], np.maximum(gains[0], gains[1]) + 1e-9, gains[1])
+    kinds = weights.argmax(axis=0)
+    probabilities = taught.probabilities(distances)
+    found = []
+    for column, row in enumerate(rows.tolist()):
+        kind = KINDS[kinds[column]] if gains[:, column].max() > 0 else ""
+        is_other = kind == "class" or (kind == "side" and gains[0, column] > SIDE_SHARE * gains[1, column])
+        found.append(
+            Judgement(
+                "",
+                float(probabilities[row]),
+                float(suspicion[column]) if kind else 0.0,
+                kind,
+                names[int(others[row].argmin())] if is_other else "",
+                (int(moved.starts[row]), int(moved.stops[row])) if kind == "edges" else None,
+                RATES[int(images[2][row] < images[1][row])] if kind == "rate" else None,
+            )
+        )
+    return rows, found
+
+
+def _two_sided(gains: F64, classes: I64) -> BoolArray:
+    """Return which labels are of classes without a side, by the gains (E,) of mirror images."""
+    usual = {one: _usual(gains[classes == one])[0] for one in np.unique(classes).tolist()}
+    return np.array([usual[one] > -ONE_SIDED for one in classes.tolist()])
+
+
+def _spreads(gains: F64, classes: I64) -> F64:
+    """Return how far gains (E,) lie above the usual one of their class, in spreads of it."""
+    usual, spread = _usual(gains)
+    found = np.empty(len(gains))
+    for one in np.unique(classes):
+        own = classes == one
+        share = own.sum() / (own.sum() + USUAL)
+        middle, width = _usual(gains[own])
+        middle, width = share * middle + (1 - share) * usual, share * width + (1 - share) * spread
+        found[own] = (gains[own] - middle) / (width + POOLED_SHARE * spread + 1e-9)
+    return found
+
+
+def _usual(values: F64) -> tuple[float, float]:
+    """Return the median of those values that are finite, and the median distance from it."""
+    finite = values[np.isfinite(values)]
+    if not len(finite):
+        return 0.0, 0.0
+    middle = float(np.median(finite))
+    return middle, float(np.median(np.abs(finite - middle)))
