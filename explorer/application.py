@@ -50,6 +50,7 @@ SUBJECTS = (
     "runs",
     "sql",
     "store",
+    "suspect_labels",
     "takes",
     "template_edits",
     "templates",

@@ -18,6 +18,7 @@ import numpy.typing as npt
 
 from kinedex.ops.arrays import F64, I64
 from kinedex.ops.body.facing_direction import mirrored_positions
+from kinedex.ops.errors import ParameterError
 from kinedex.ops.numeric.channels import channels
 from kinedex.ops.numeric.class_densities import ClassSums
 from kinedex.ops.numeric.span_descriptors import SpanSums
@@ -158,7 +159,10 @@ def judge_labels(places: Sequence[Place], windows: Windows, joints: Sequence[str
     for number, window in windows():
         reasons[number] = _reason(window)
         if not reasons[number]:
-            descriptors[number] = _as_labelled(window, joints, rate_hz)
+            try:
+                descriptors[number] = _as_labelled(window, joints, rate_hz)
+            except ParameterError as fault:
+                reasons[number] = f"its body cannot be described ({fault})"
     known = np.array(sorted(descriptors), np.int64)
     alone = np.bincount(classes[known], minlength=len(names))[classes] < 2
     for number in known[alone[known]].tolist():
@@ -254,7 +258,8 @@ class _LeftOut:
         """Return the probability of each label's own class, of its distances to all."""
         logs = -distances / (2.0 * TEMPERATURE)
         shares = np.exp(logs - logs.max(axis=1, keepdims=True))
-        return self.own(shares) / shares.sum(axis=1)
+        found: F64 = self.own(shares) / shares.sum(axis=1)
+        return found
 
     def own(self, values: F64) -> F64:
         """Return of values (E, P) those of each label's own class, float64 (E,)."""
@@ -323,7 +328,7 @@ def _judged(
     probabilities = taught.probabilities(distances)
     found = []
     for column, row in enumerate(rows.tolist()):
-        kind = KINDS[kinds[column]] if gains[:, column].max() > 0 else ""
+        kind: Kind | Literal[""] = KINDS[kinds[column]] if gains[:, column].max() > 0 else ""
         is_other = kind == "class" or (kind == "side" and gains[0, column] > SIDE_SHARE * gains[1, column])
         found.append(
             Judgement(

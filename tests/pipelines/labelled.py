@@ -46,16 +46,16 @@ def long_take(name: str, actor: str, *subclasses: str, frames_a_pose: int = 5) -
 
 
 def write_store(path: Path, takes: list[dict[str, object]], source_root: Path | None = None) -> Path:
-    """Write takes as they stand: rows of takes whose `words` are their frames; source frames are at 120 Hz."""
+    """Write takes as they stand: rows whose `words`, and `positions`, are their frames; source frames are at 120 Hz."""
     with StoreWriter.open(path, BODY) as writer:
         ids = writer.assign_take_ids([str(take["name"]) for take in takes])
         rows = []
         with FramesWriter(path, BODY) as frames:
             for take in sorted(takes, key=lambda take: ids[str(take["name"])]):
                 words = np.asarray(take["words"], np.uint64)
-                positions = np.zeros((len(BODY.joints), 3, len(words)))
+                positions = np.asarray(take.get("positions", np.zeros((len(BODY.joints), 3, len(words)))), np.float64)
                 frames.add(ids[str(take["name"])], positions, np.zeros((4, len(words))), words)
-                columns = {key: value for key, value in take.items() if key not in ("name", "words")}
+                columns = {key: value for key, value in take.items() if key not in ("name", "words", "positions")}
                 name = str(take["name"])
                 rows.append(
                     take_row(ids[name], name, len(words), **columns, source_root=str(source_root or "/archive"))

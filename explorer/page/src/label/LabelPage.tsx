@@ -12,9 +12,10 @@ import { Learn, LearnBySelf } from "./Learn";
 import { useLabelFacts } from "./load";
 import { Queue } from "./Queue";
 import { RefusedDecisions, SavedState } from "./SavedState";
+import { Suspects } from "./Suspects";
 import { TakeLabels } from "./TakeLabels";
 
-/** Labels: the queue of doubtful annotations, the lanes of a take, and files of other tools. */
+/** Labels: the queue of doubtful annotations, labels that are probably wrong, the lanes of a take, and files of other tools. */
 export default function LabelPage() {
   const store = useStore().data;
   const facts = useLabelFacts().data;
@@ -29,7 +30,7 @@ export default function LabelPage() {
     setName(value);
     setAnnotatorName(value);
   };
-  const shown = view === "learn" || view === "files" ? view : "queue";
+  const shown = view === "learn" || view === "suspects" || view === "files" ? view : "queue";
   return (
     <div className="page label-page">
       <div className="label-bar">
@@ -47,11 +48,15 @@ export default function LabelPage() {
         <Tabs value={shown} onChange={(value) => setView(value === "queue" ? null : value, true)} keepMounted={false}>
           <Tabs.List mb={8}>
             <Tabs.Tab value="queue">Doubtful</Tabs.Tab>
+            <Tabs.Tab value="suspects">Suspect</Tabs.Tab>
             <Tabs.Tab value="learn">Learn</Tabs.Tab>
             <Tabs.Tab value="files">Files</Tabs.Tab>
           </Tabs.List>
           <Tabs.Panel value="queue">
             <Queue annotator={annotator} />
+          </Tabs.Panel>
+          <Tabs.Panel value="suspects">
+            <Suspects annotator={annotator} readOnly={store?.read_only === true} />
           </Tabs.Panel>
           <Tabs.Panel value="learn">
             <Learn readOnly={store?.read_only === true} />

@@ -81,3 +81,38 @@ export const QUEUE_BLOCK = 40;
 export function askQueue(filter: QueueFilter, offset: number, signal?: AbortSignal): Promise<QueueBlock> {
   return post<QueueBlock>("/api/labels/queue", { ...filter, offset, limit: QUEUE_BLOCK }, signal);
 }
+
+/** A label that another label would fit better, with what that is. */
+export interface Suspect {
+  take_id: number;
+  take: string;
+  class: string;
+  start: number;
+  stop: number;
+  suspicion: number;
+  probability: number;
+  kind: "class" | "side" | "edges" | "rate";
+  proposal: string;
+  new_class: string | null;
+  new_start: number | null;
+  new_stop: number | null;
+  rate_factor: number | null;
+  source: string;
+  id: string | null;
+}
+
+export interface SuspectBlock extends Same {
+  judged: number;
+  total: number;
+  remarks: string[];
+  offset: number;
+  rows: Suspect[];
+}
+
+export function useSuspects(classes: string[], labels: number | undefined) {
+  return useQuery({
+    queryKey: ["labels", "suspects", classes, useStore().data?.version, labels],
+    queryFn: ({ signal }) => post<SuspectBlock>("/api/labels/suspects", { classes, limit: QUEUE_BLOCK }, signal),
+    placeholderData: keepPreviousData,
+  });
+}
