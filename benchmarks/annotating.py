@@ -22,7 +22,7 @@ from kinedex.ops.templates.templates import LearnedTemplate, QuantisedTemplate, 
 from kinedex.ops.words import TakeWords
 from kinedex.pipelines.annotation.annotators import Annotator, make_annotator
 from kinedex.pipelines.annotation.batches import BATCH_FRAMES, annotate_words, matched_ranges
-from kinedex.pipelines.annotation.methods import BestMethod
+from kinedex.pipelines.annotation.template_methods import BestMethod
 from kinedex.pipelines.templates.template_learning import SubclassTemplate
 from kinedex.storage.store.store import Store
 

@@ -10,6 +10,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property, partial
+from typing import Any
 
 import numpy as np
 from pydantic import ValidationError
@@ -18,22 +19,20 @@ from kinedex.catalog.classes import Classes
 from kinedex.catalog.queries.keyframe_query import KeyframeQuery
 from kinedex.explorer.templates import TemplateUse
 from kinedex.ops.annotation.segments import TOLERANCE, Matches, Segment
-from kinedex.ops.arrays import F64, I32, I64, U64
+from kinedex.ops.arrays import F64, I32, I64
 from kinedex.ops.cache import Cache
 from kinedex.ops.errors import KinedexError
 from kinedex.ops.templates.templates import QuantisedTemplate
 from kinedex.ops.words import TakeWords
 from kinedex.pipelines.annotation.annotation_setup import (
     Preparation,
-    Single,
+    archive_material,
     learned_queries,
     queries_of,
-    single_examples_of,
-    template_words,
 )
 from kinedex.pipelines.annotation.annotators import Annotator
 from kinedex.pipelines.annotation.batches import annotate_words, split_takes
-from kinedex.pipelines.annotation.methods import ClassTemplates, ThesisMethod
+from kinedex.pipelines.annotation.methods import Material, Takes
 from kinedex.pipelines.annotation.threshold_calibration import Calibration
 from kinedex.pipelines.engine.executors import cores, in_threads
 from kinedex.pipelines.keyframes.slice_search import stored_words
@@ -83,29 +82,36 @@ MATCHES: Cache[Key, CachedMatches] = Cache(MAX_BYTES, lambda held: held.nbytes)
 
 
 @dataclass(frozen=True)
-class CachingThesisMethod(ThesisMethod):
-    """Label frames as `ThesisMethod` does, with matches that are cached from one annotation to the next.
+class CachingMethod:
+    """A method that offers matches, with matches that are cached from one annotation to the next.
 
     Attributes
     ----------
+    method : AnnotationMethod
+        The method.
     scope : tuple
         The store and its version, which are part of the cache's keys, because take ids are unique within these only.
     """
 
-    scope: tuple[object, ...] = ()
+    method: Any
+    scope: tuple[object, ...]
 
-    @classmethod
-    def prepare(cls, templates: ClassTemplates, clips: Callable[[], Sequence[U64]]) -> CachingThesisMethod:
-        """Return the method for some templates, with the cache of the server."""
-        return cls(templates.quantised, templates.class_index, templates.thresholds)
+    def __getattr__(self, name: str) -> Any:
+        """Return an attribute of the method."""
+        return getattr(self.method, name)
+
+    def annotate(self, takes: Takes) -> list[list[Segment]]:
+        """Label takes as the method does."""
+        found: list[list[Segment]] = self.method.of_matches(self.matches(takes.words, takes.ranges), takes.words)
+        return found
 
     def matches(self, words: TakeWords, ranges: Sequence[I64]) -> Matches:
-        """Return the matches of each template as `ThesisMethod.matches` does, from the cache if it has them."""
-        taus = self.thresholds[self.class_index]
+        """Return the matches of each template as the method does, from the cache if it has them."""
+        taus = self.method.thresholds[self.method.class_index]
         takes = words.take_ids.tobytes()
         keys = [
             (*self.scope, takes, own.tobytes(), *template_key(one))
-            for one, own in zip(self.templates, ranges, strict=True)
+            for one, own in zip(self.method.templates, ranges, strict=True)
         ]
         found = {
             place: held.below(tau)
@@ -114,10 +120,7 @@ class CachingThesisMethod(ThesisMethod):
         }
         missing = [place for place in range(len(keys)) if place not in found]
         if missing:
-            some = ThesisMethod(
-                tuple(self.templates[place] for place in missing), np.arange(len(missing)), taus[missing]
-            )
-            parts = some.matches(words, [ranges[place] for place in missing]).parts()
+            parts = self.method.only(missing).matches(words, [ranges[place] for place in missing]).parts()
             for place, own in zip(missing, parts, strict=True):
                 found[place] = own
                 starts, ends, costs = own
@@ -160,7 +163,7 @@ class PipelineMaterial:
             return TemplateParameters.model_validate({} if record is None else record.summary.get("params") or {})
         except ValidationError:
             raise KinedexError(
-                f"the parameters of {self.use.stage} are those of another version of kinedex, and `each_example` needs "
+                f"the parameters of {self.use.stage} are those of another version of kinedex, and this method needs "
                 "them; run the pipeline again"
             ) from None
 
@@ -173,19 +176,23 @@ class PipelineMaterial:
         return rejected_examples(self.store, self._made_with, of_any=True)
 
     @cached_property
-    def _single(self) -> Single:
-        return single_examples_of(self.store, self.use.params, self._made_with)
-
-    @cached_property
-    def _clip_words(self) -> dict[frozenset[str], list[U64]]:
+    def _materials(self) -> dict[frozenset[str], Material]:
         return {}
 
-    def _words_of(self, templates: Sequence[SubclassTemplate]) -> list[U64]:
-        """Return the words of the clips of templates, which are read once."""
-        names = frozenset(name for one in templates for name in one.clips)
-        if names not in self._clip_words:
-            self._clip_words[names] = template_words(self.store, templates)
-        return self._clip_words[names]
+    def _material_of(self, templates: Sequence[SubclassTemplate]) -> Material:
+        """Return what the method is fitted with for templates, which is read once."""
+        method = self.use.params.annotation_method
+        made_with = TemplateParameters.model_validate({}) if method.needs.templates == "learned" else self._made_with
+        names = frozenset(f"{one.subclass}/{name}" for one in templates for name in one.clips)
+        if names not in self._materials:
+            of_files = {one.subclass for one in templates if not one.clips}
+            made = archive_material(
+                self.store, self.use.params, made_with, templates,
+                lambda: [one for one in self._examples if one.subclass not in of_files], lambda: self._rejected,
+            )  # fmt: skip
+            others = next(iter(self._materials.values()), made)
+            self._materials[names] = replace(made, unlabelled=others.unlabelled)
+        return self._materials[names]
 
     def annotator(
         self, templates: Sequence[SubclassTemplate], classes: Classes, taus: Mapping[str, float]
@@ -202,13 +209,8 @@ class PipelineMaterial:
             The threshold of each class.
         """
         params = self.use.params.model_copy(update={"tau_by_class": {}})
-        clips = partial(self._words_of, templates)
         prepared = Preparation(self.store, params, classes, *self.queries)
-        made = prepared.annotator(templates, clips, Calibration(dict(taus), {}, ()))
-        if not params.each_example:
-            return made
-        of_files = {one.subclass for one in templates if not one.clips}
-        return self._single(made, [one for one in self._examples if one.subclass not in of_files], self._rejected)
+        return prepared.annotator(templates, self._material_of(templates), Calibration(dict(taus), {}, ()))
 
 
 def word_batches(store: Store, take_ids: Sequence[int]) -> list[TakeWords]:
@@ -244,14 +246,13 @@ def class_segments(
     step : callable
         Called after each batch.
     """
-    method = annotator.method
-    if type(method) is ThesisMethod and not any(annotator.queries):
-        scope = (str(store.path), store.manifest.version)
-        kept = CachingThesisMethod(method.templates, method.class_index, method.thresholds, scope)
+    if annotator.method.offers.matches and not any(annotator.queries):
+        kept: Any = CachingMethod(annotator.method, (str(store.path), store.manifest.version))
         annotator = replace(annotator, method=kept)
     place = annotator.classes.index(label)
     found: list[tuple[Segment, ...]] = []
-    for annotated in in_threads(partial(annotate_words, annotator), batches, cores()):
+    read = store if annotator.method.needs.positions else None
+    for annotated in in_threads(partial(annotate_words, annotator, store=read), batches, cores()):
         found += [tuple(one for one in each.segments if one.class_index == place) for each in annotated]
         step()
     return found

@@ -40,7 +40,6 @@ from kinedex.ops.arrays import F64
 from kinedex.ops.evaluation.metrics import compare, pooled
 from kinedex.ops.intervals import Hit, Interval, in_seconds
 from kinedex.ops.wording import name_list
-from kinedex.pipelines.annotation.methods import BestMethod
 from kinedex.pipelines.annotation.parameters import CALIBRATED
 from kinedex.pipelines.evaluation.annotation_scores import scores
 from kinedex.pipelines.templates.template_learning import SubclassTemplate
@@ -129,7 +128,7 @@ def _without_effect(prepared: Prepared, asked: EditRequest) -> list[str]:
     """Return a remark on edits that the method of the pipeline ignores."""
     method = prepared.use.params.annotation_method
     weights = sorted(name for name, weight in asked.weights.items() if weight not in (0, 1))
-    if not issubclass(method, BestMethod) or not weights:
+    if method.offers.feature_weights or not weights:
         return []
     return [
         f"the method {method.name} knows features that count, and such of weight 0 that do not: these count as "

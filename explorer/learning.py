@@ -32,6 +32,7 @@ from kinedex.explorer.labels import stage_of
 from kinedex.explorer.open_archive import Archive
 from kinedex.ops.errors import ConflictError, KinedexError, StoreError
 from kinedex.pipelines.annotation.annotation_tables import annotation_stage
+from kinedex.pipelines.annotation.methods import annotation_method
 from kinedex.pipelines.labels.file_segments import SegmentDifference, segment_differences, segment_of
 from kinedex.pipelines.templates.examples import CLIPS, LABELS
 from kinedex.storage.durable_files import replace_file, write_errors
@@ -113,7 +114,8 @@ def learning_stages(store: Store, asked: LearnRequest) -> Row:
     annotate |= {key: value for key, value in chosen.items() if value is not None}
     templates["methods"] = [annotate.get("templates", "soft")]  # soft or hard, whichever the annotation uses
     # few labels do not represent an archive, so each of them, rejected ones too, counts as an example of its own
-    annotate["each_example"] = CLIPS not in templates["examples"] and annotate.get("method") == "best"
+    method = annotation_method(annotate.get("method", "thesis"))
+    annotate["each_example"] = CLIPS not in templates["examples"] and bool(method.offers.each_example)
     if annotate["each_example"]:
         annotate["store_curves"] = False  # the curves are of averaged templates, which are not used then
     return {"learn_templates": {"params": templates}, **stages, "annotate": {"params": annotate}}

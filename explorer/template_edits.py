@@ -109,7 +109,7 @@ def _pipeline_command(archive: Archive, use: TemplateUse, label: str, file: str 
         given = manifest.stages[use.stage].summary.get("params") or {}
         others = [one for one in given.get("template_files") or [] if Path(one).name != file]
         settings[f"{stage}.template_files"] = [*others, file]
-    if use.annotate is not None and use.params.annotation_method.uses_thresholds:
+    if use.annotate is not None and use.params.annotation_method.needs.thresholds:
         name = use.annotate.partition("/")[2]
         settings[f"{name}.tau_by_class"] = {**use.params.tau_by_class, label: round(tau, 6)}
     words = ["kinedex", "run", pipeline if record is None else _shipped_name(record.path), "--store", str(archive.path)]

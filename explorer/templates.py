@@ -317,7 +317,7 @@ class TemplateUse:
     @property
     def uses_thresholds(self) -> bool:
         """True where the pipeline's annotations depend on τ."""
-        return self.params.annotation_method.uses_thresholds
+        return self.params.annotation_method.needs.thresholds
 
     def class_of(self, name: str) -> str:
         """Return the class of a template, or the template's own name if the classes of the pipeline exclude it."""

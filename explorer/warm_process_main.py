@@ -31,8 +31,9 @@ def prepare() -> None:
     from kinedex.ops.words import TakeWords
     from kinedex.pipelines.annotation.annotators import make_annotator
     from kinedex.pipelines.annotation.batches import annotate_words
-    from kinedex.pipelines.annotation.methods import BestMethod
-    from kinedex.pipelines.annotation.single_examples import usual_postures, with_single_examples
+    from kinedex.pipelines.annotation.methods import LabelledMotion, Material, Motion, Motions
+    from kinedex.pipelines.annotation.single_examples import SingleExamples
+    from kinedex.pipelines.annotation.template_methods import BestMethod
     from kinedex.pipelines.engine.executors import make_executor
     from kinedex.pipelines.engine.runner import run_pipeline  # noqa: F401
     from kinedex.pipelines.engine.stage import load_stage
@@ -49,8 +50,9 @@ def prepare() -> None:
     annotator = make_annotator(features, soft, known, 0.05, 0.13, method=BestMethod, clips=lambda: [words])
     takes = TakeWords(np.zeros(1, np.int64), np.array([0, len(words)], np.int64), words)
     annotate_words(annotator, takes, store_curves=True)
-    usual = usual_postures(words, len(features.features))
-    annotate_words(with_single_examples(annotator, clips, [], usual, 0.05), takes)
+    examples = Motions(lambda: [LabelledMotion(words=own, label="any") for own in clips[0].words])
+    given = Material(examples, Motions(lambda: [Motion(words=words)]))
+    annotate_words(make_annotator(features, soft, known, 0.05, 0.13, method=SingleExamples, clips=given), takes)
 
 
 def main() -> None:

@@ -23,10 +23,11 @@ from kinedex.ops.arrays import U64
 from kinedex.ops.distances.dtw import distance_curves
 from kinedex.ops.templates.templates import QuantisedTemplate
 from kinedex.ops.words import TakeWords, bits
-from kinedex.pipelines.annotation.annotation_setup import template_words
 from kinedex.pipelines.annotation.annotators import Annotator, make_annotator
 from kinedex.pipelines.annotation.batches import annotate_words
-from kinedex.pipelines.annotation.methods import BestMethod, ThesisMethod
+from kinedex.pipelines.annotation.material import template_examples
+from kinedex.pipelines.annotation.methods import Needs
+from kinedex.pipelines.annotation.template_methods import BestMethod, ThesisMethod
 from kinedex.pipelines.evaluation.ground_truth import Manual, place_ground_truth
 from kinedex.pipelines.templates.template_learning import read_templates
 from kinedex.storage.formats.labels.formats import read_labels
@@ -165,7 +166,7 @@ def described(fit: Fit | None, annotator: Annotator, rate_hz: float) -> str:
 def rows(store: Store, truth: Path, classes: Classes) -> list[str]:
     """Return the lines of the table, one for each manual segment."""
     templates = read_templates(store, STAGE, "soft")
-    words = template_words(store, templates)
+    words = [one.words for one in template_examples(store, templates, Needs(words=True))]
     thesis, best = (
         make_annotator(store.feature_set, templates, classes, DELTA, TAU, method=one, clips=lambda: words)
         for one in (ThesisMethod, BestMethod)

@@ -30,7 +30,8 @@ from kinedex.ops.words import TakeWords, bits, known_bits
 from kinedex.pipelines.annotation.annotation_setup import learned_queries
 from kinedex.pipelines.annotation.annotators import Annotator, make_annotator
 from kinedex.pipelines.annotation.batches import annotate_words
-from kinedex.pipelines.annotation.methods import ThesisMethod, annotation_method
+from kinedex.pipelines.annotation.methods import annotation_method
+from kinedex.pipelines.annotation.template_methods import ThesisMethod
 from kinedex.pipelines.evaluation.ground_truth import place_ground_truth
 from kinedex.pipelines.ingestion.analysis import analyse, known_features
 from kinedex.pipelines.templates.template_learning import read_templates

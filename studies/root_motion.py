@@ -26,8 +26,10 @@ from kinedex.ops.arrays import U64
 from kinedex.ops.evaluation.metrics import f_measure
 from kinedex.ops.templates.templates import quantise
 from kinedex.ops.words import NO_WORD, TakeWords, bits
-from kinedex.pipelines.annotation.methods import BestMethod, whole_takes, with_usual_values
+from kinedex.pipelines.annotation.methods import Motion, whole_takes
+from kinedex.pipelines.annotation.methods import Takes as AnnotatedTakes
 from kinedex.pipelines.annotation.single_examples import NOTHING, SingleExamples, usual_postures
+from kinedex.pipelines.annotation.template_methods import BestMethod, with_usual_values
 from kinedex.pipelines.templates.template_learning import TrainingClips, learn_template
 from kinedex.storage.store.store import Store, open_store
 from studies.explorer_person import bandai
@@ -127,7 +129,7 @@ class Person:
     def __init__(self, takes: Takes, label: str, decided: frozenset[str], first: int) -> None:
         self._takes, self._label = takes, label
         self._mine = [place for place, style in enumerate(takes.styles) if style in decided]
-        self._usual = usual_postures(takes.words.best_known, takes.features)
+        self._usual = usual_postures([Motion(words=takes.words.best_known)], takes.features)
         self._shares = np.stack([self._share(place) for place in range(len(takes.words))])
         self._positives, self._negatives = [self._interval(first)], [(first, 0, 0)][:0]
         self._seen = {first}
@@ -155,7 +157,8 @@ class Person:
             self._usual,
             Decoding(),
         )
-        return SingleExamples(row, positions).annotate(self._takes.words, [whole_takes(self._takes.words)])
+        words = self._takes.words
+        return SingleExamples(row, positions).annotate(AnnotatedTakes(words, [whole_takes(words)]))
 
     def decide(self, found: Sequence[Sequence[Segment]]) -> bool:
         """Decide on the takes of the smallest margin, then on those most like accepted ones; False if none is left."""

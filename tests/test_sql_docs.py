@@ -12,7 +12,7 @@ from kinedex.catalog.classes import load_classes
 from kinedex.catalog.queries.keyframe_query import Keyframe, KeyframeQuery
 from kinedex.catalog.sql.views import MACROS, VIEWS
 from kinedex.pipelines.annotation.annotators import make_annotator
-from kinedex.pipelines.annotation.methods import BestMethod, ThesisMethod
+from kinedex.pipelines.annotation.template_methods import BestMethod, ThesisMethod
 from kinedex.pipelines.stages.annotate import Annotate
 from kinedex.pipelines.stages.index import Index
 from kinedex.pipelines.stages.ingest import Ingest

@@ -5,8 +5,8 @@ from __future__ import annotations
 import warnings
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import polars as pl
@@ -24,7 +24,8 @@ from kinedex.pipelines.annotation.annotation_tables import annotations_table
 from kinedex.pipelines.annotation.annotators import Annotator, make_annotator
 from kinedex.pipelines.annotation.batches import TakeAnnotation, annotate_words, split_takes
 from kinedex.pipelines.annotation.confidence_calibration import uncalibrated
-from kinedex.pipelines.annotation.methods import annotation_method
+from kinedex.pipelines.annotation.material import unlabelled_takes
+from kinedex.pipelines.annotation.methods import LabelledMotion, Material, Motion, Motions, Needs, annotation_method
 from kinedex.pipelines.annotation.parameters import least_frames
 from kinedex.pipelines.evaluation.annotation_scores import evaluate as compare_with_truth
 from kinedex.pipelines.evaluation.annotation_scores import metrics_rows
@@ -103,6 +104,8 @@ def annotate(
     given = _templates_of(takes, templates)
     chosen = _StoredWords(takes, where) if isinstance(takes, Store) else _LoadedWords(takes)
     _check_features(chosen.feature_set.digest, given)
+    unlabelled = Motions(partial(chosen.unlabelled, chosen_method.needs))
+    material = Material(Motions(partial(_examples_of, given)), unlabelled, chosen.rate_hz)
     annotator = make_annotator(
         chosen.feature_set,
         [one.learned for one in given],
@@ -111,7 +114,7 @@ def annotate(
         tau,
         resolved_queries(queries, chosen.feature_set, chosen.rate_hz),
         method=chosen_method,
-        clips=lambda: _clips_of(given) or chosen.every_word(),
+        clips=material,
     )
     annotator = replace(
         annotator,
@@ -162,9 +165,9 @@ class _LoadedWords:
         """Return a dict from index to mask of known features, for the takes that lack features."""
         return {place: take.known for place, take in enumerate(self.takes) if take.known != ALL_KNOWN}
 
-    def every_word(self) -> list[Any]:
-        """Return the words of the takes whose features are all known, or of all takes if there is no such take."""
-        return [take.words() for take in self.takes if take.known == ALL_KNOWN] or [take.words() for take in self.takes]
+    def unlabelled(self, _needs: Needs) -> list[Motion]:
+        """Return the takes as motions."""
+        return [Motion(words=take.words(), known=take.known) for take in self.takes]
 
 
 class _StoredWords:
@@ -194,9 +197,9 @@ class _StoredWords:
         """Return a dict from take id to mask of known features, for the takes that lack features."""
         return known_masks(self.store.stored.known, self.names)
 
-    def every_word(self) -> list[Any]:
-        """Return the words of the store's takes whose features are all known, or of all its takes, in one array."""
-        return [self.store.stored.words().best_known]
+    def unlabelled(self, needs: Needs) -> Iterable[Motion]:
+        """Return all takes of the store, annotated or not, as motions."""
+        return unlabelled_takes(self.store.stored, needs)
 
 
 def _templates_of(takes: object, templates: Template | str | Iterable[Template | str]) -> list[Template]:
@@ -220,9 +223,10 @@ def _check_features(digest: str, templates: Sequence[Template]) -> None:
             raise KinedexError(f"template '{one.name}' has other features ({one.feature_set.name}) than the takes")
 
 
-def _clips_of(templates: Sequence[Template]) -> list[Any]:
-    """Return the words of the clips of templates, each clip once."""
-    return list({name: words for one in templates for name, words in one.examples().items()}.values())
+def _examples_of(templates: Sequence[Template]) -> list[LabelledMotion]:
+    """Return the clips of templates, each clip once."""
+    found = {name: (one.name, words) for one in templates for name, words in one.examples().items()}
+    return [LabelledMotion(words=words, label=label) for label, words in found.values()]
 
 
 def _table(found: Iterable[TakeAnnotation], annotator: Annotator, chosen: _LoadedWords | _StoredWords) -> pl.DataFrame:

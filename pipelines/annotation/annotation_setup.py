@@ -4,24 +4,24 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from functools import cache
+from functools import partial
 
 import polars as pl
 
 from kinedex.catalog.classes import OWN, Classes, load_classes
 from kinedex.catalog.queries.keyframe_query import KeyframeQuery
 from kinedex.catalog.queries.query_reader import read_query_files
-from kinedex.ops.arrays import U64
 from kinedex.ops.errors import KinedexError
 from kinedex.pipelines.annotation.annotators import Annotator, make_annotator
 from kinedex.pipelines.annotation.confidence_calibration import CalibratedConfidence, Target, calibrate_confidence
+from kinedex.pipelines.annotation.material import clip_examples, template_examples, unlabelled_takes
+from kinedex.pipelines.annotation.methods import LabelledMotion, Material, Motions
 from kinedex.pipelines.annotation.parameters import CALIBRATED, AnnotationParameters, MethodParameters, least_frames
-from kinedex.pipelines.annotation.single_examples import usual_postures, with_single_examples
 from kinedex.pipelines.annotation.threshold_calibration import Calibration, Learn, calibrate
 from kinedex.pipelines.engine.executors import Executor
 from kinedex.pipelines.keyframes.learning_runs import outcomes_of
 from kinedex.pipelines.keyframes.query_learning import every_query
-from kinedex.pipelines.templates.examples import Rejected, interval_of
+from kinedex.pipelines.templates.examples import Rejected
 from kinedex.pipelines.templates.template_learning import (
     SubclassTemplate,
     TrainingClips,
@@ -32,8 +32,8 @@ from kinedex.pipelines.templates.template_learning import (
 from kinedex.pipelines.templates.training import TemplateParameters, feature_weights, with_given_templates
 from kinedex.storage.store.store import Store
 
-Single = Callable[[Annotator, Sequence[TrainingClips], Sequence[Rejected]], Annotator]
-"""A function that returns an annotator with each example as a template and rejected intervals as rivals."""
+OWN_PROBABILITIES = "confidences are the probabilities that the method gives"
+OF_POSITIONS = "no confidence: the method needs positions, and gives no probabilities"
 
 
 def takes_to_annotate(store: Store, where: str) -> pl.DataFrame:
@@ -63,24 +63,6 @@ def queries_of(store: Store, params: MethodParameters) -> list[KeyframeQuery]:
     return read_query_files(params.query_files, store.feature_set, store.rate_hz)
 
 
-def template_words(store: Store, templates: Sequence[SubclassTemplate]) -> list[U64]:
-    """Return the words of the clips that templates were learned from, or of all takes if there are no such clips.
-
-    Clips whose bodies lack joints are excluded, unless all do.
-    """
-    clips = {name for one in templates for name in one.clips}
-    takes = store.takes().filter(pl.col("name").is_in(clips))
-    parts = {name: interval_of(name, store.take_ids) for name in sorted(clips - set(takes["name"]))}
-    cut = [
-        store.words([store.take_ids[take]]).words[frames]
-        for take, frames in parts.values()
-        if take in store.take_ids and store.take_ids[take] not in store.known
-    ]
-    if cut and not takes.height:
-        return cut
-    return [store.words(takes["take_id"].to_list() if takes.height else None).best_known, *cut]
-
-
 @dataclass(frozen=True)
 class Preparation:
     """The settings of an annotation, from which annotators are made and calibrated.
@@ -95,8 +77,6 @@ class Preparation:
         The classes to label with.
     queries, learned : sequence of KeyframeQuery
         The queries from files, and the learned ones.
-    single : callable, optional
-        Returns an annotator with each example as a template (`single_examples_of`).
     """
 
     store: Store
@@ -104,10 +84,9 @@ class Preparation:
     classes: Classes
     queries: Sequence[KeyframeQuery] = ()
     learned: Sequence[KeyframeQuery] = ()
-    single: Single | None = None
 
     def annotator(
-        self, templates: Sequence[SubclassTemplate], clips: Callable[[], Sequence[U64]], calibration: Calibration
+        self, templates: Sequence[SubclassTemplate], material: Material, calibration: Calibration
     ) -> Annotator:
         """Make the annotator of templates.
 
@@ -115,8 +94,8 @@ class Preparation:
         ----------
         templates : sequence of SubclassTemplate
             The templates, of the kind that the parameters name.
-        clips : callable
-            Returns the words of the training clips; called only if the method needs them.
+        material : Material
+            What the method is fitted with.
         calibration : Calibration
             The calibrated thresholds, see `thresholds`; those of `tau_by_class` take precedence.
 
@@ -129,7 +108,7 @@ class Preparation:
         taus = params.thresholds(classes.names, calibration.taus)
         method = params.annotation_method
         made = make_annotator(
-            self.store.feature_set, templates, classes, params.delta, taus, self.queries, method, clips
+            self.store.feature_set, templates, classes, params.delta, taus, self.queries, method, material
         ).with_learned(self.learned, classes)
         return replace(made, min_frames=least_frames(params.min_seconds, self.store.rate_hz))
 
@@ -153,7 +132,7 @@ class Preparation:
         rejected : callable, optional
             Returns the intervals that people have rejected; called only if they are needed.
         """
-        if self.params.tau != CALIBRATED or not self.params.annotation_method.uses_thresholds:
+        if self.params.tau != CALIBRATED or not self.params.annotation_method.needs.thresholds:
             return Calibration({}, {}, ())
         return calibrate(clips(), self._actors(), self.classes, self.params.delta, learn, executor, rejected())
 
@@ -164,9 +143,10 @@ class Preparation:
         calibration: Calibration,
         learn: Learn,
         executor: Executor,
+        material: Material,
         rejected: Sequence[Rejected] = (),
     ) -> CalibratedConfidence:
-        """Learn the confidence of labels from held-out examples.
+        """Learn the confidence of labels from held-out examples, if the method does not give probabilities.
 
         Parameters
         ----------
@@ -178,17 +158,19 @@ class Preparation:
             The thresholds, which are those of all examples.
         learn, executor
             See `thresholds`.
+        material : Material
+            What the method is fitted with, whose examples are those that are not held out.
         rejected : sequence of Rejected, optional
-            Intervals that people have rejected, if every example is a template.
+            Intervals that people have rejected.
         """
+        needs, offers = self.params.annotation_method.needs, self.params.annotation_method.offers
+        if offers.probabilities or needs.positions:
+            return CalibratedConfidence(None, 0, 0, OWN_PROBABILITIES if offers.probabilities else OF_POSITIONS)
 
         def make(rest: Sequence[TrainingClips], refused: Sequence[Rejected]) -> Annotator:
-            words = [words for one in rest for words in one.words]
-            if self.single is None:
-                return self.annotator(learn(rest), lambda: words, calibration)
-            # templates then only provide class names and numbers of columns (those of the first clips)
-            made = self.annotator(learn([one.first() for one in rest]), lambda: words[:1], calibration)
-            return self.single(made, rest, refused)
+            shown = rest if needs.templates == "learned" else [one.first() for one in rest]
+            examples = Motions(partial(clip_examples, self.store, rest, refused, needs))
+            return self.annotator(learn(shown), replace(material, examples=examples), calibration)
 
         target = Target(takes["frames"].to_list(), takes["actor"].to_list())
         actors, classes = self._actors(), self.classes
@@ -200,7 +182,7 @@ class Preparation:
 
 def own_thresholds(params: MethodParameters, calibration: Calibration, annotator: Annotator) -> dict[str, float]:
     """Return the threshold of each class that has a template; empty if all classes share one threshold."""
-    if not (calibration.taus or params.tau_by_class) or not params.annotation_method.uses_thresholds:
+    if not (calibration.taus or params.tau_by_class) or not params.annotation_method.needs.thresholds:
         return {}
     thresholds = params.thresholds(annotator.classes, calibration.taus)
     labelled = [annotator.classes[index] for index in sorted(set(annotator.class_index.tolist()))]
@@ -221,16 +203,39 @@ def template_learner(
     return learn
 
 
-def single_examples_of(store: Store, params: MethodParameters, templates: TemplateParameters) -> Single:
-    """Return a function that makes each example of an annotator a template; the words of the store are read once."""
-    features = len(store.feature_set.features)
-    usual = cache(lambda: usual_postures(store.words(None).best_known, features))
-    weights = feature_weights(templates.weights, store.feature_set)
+def archive_material(
+    store: Store,
+    params: MethodParameters,
+    made_with: TemplateParameters,
+    templates: Sequence[SubclassTemplate],
+    clips: Callable[[], Sequence[TrainingClips]],
+    rejected: Callable[[], Sequence[Rejected]],
+) -> Material:
+    """Return what a method is fitted with for the takes of a store.
 
-    def single(made: Annotator, clips: Sequence[TrainingClips], rejected: Sequence[Rejected]) -> Annotator:
-        return with_single_examples(made, clips, rejected, usual(), params.delta, weights)
+    Parameters
+    ----------
+    store : Store
+        The store.
+    params : MethodParameters
+        The method and its parameters.
+    made_with : TemplateParameters
+        The parameters that templates are learned with.
+    templates : sequence of SubclassTemplate
+        The templates, whose clips are the examples of a method that needs learned templates.
+    clips, rejected : callable
+        Return the examples of other methods, and the intervals that people have rejected.
+    """
+    needs = params.annotation_method.needs
 
-    return single
+    def examples() -> list[LabelledMotion]:
+        if needs.templates == "learned":
+            return template_examples(store, templates, needs)
+        return clip_examples(store, clips(), rejected(), needs)
+
+    weights = feature_weights(made_with.weights, store.feature_set)
+    unlabelled = Motions(partial(unlabelled_takes, store, needs))
+    return Material(Motions(examples), unlabelled, store.rate_hz, weights, made_with.mirror)
 
 
 def annotated_classes(store: Store, params: AnnotationParameters, stage: str) -> Classes:

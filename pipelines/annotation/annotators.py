@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cached_property, partial
+from typing import NamedTuple
 
 import numpy as np
 
@@ -15,9 +16,10 @@ from kinedex.ops.annotation.confidence import Confidence
 from kinedex.ops.arrays import I64, U64
 from kinedex.ops.errors import KinedexError, did_you_mean
 from kinedex.ops.templates.derived_templates import restricted_template
-from kinedex.ops.templates.templates import QuantisedTemplate, quantise
+from kinedex.ops.templates.templates import QuantisedTemplate, Template, quantise
 from kinedex.ops.wording import counted, name_list
-from kinedex.pipelines.annotation.methods import AnnotationMethod, ClassTemplates, ThesisMethod
+from kinedex.pipelines.annotation.methods import AnnotationMethod, LabelledMotion, Material, Motions, Setting
+from kinedex.pipelines.annotation.template_methods import ThesisMethod
 from kinedex.pipelines.keyframes.applicability import Applicability, applicability, remarks_on
 from kinedex.pipelines.keyframes.preselected_frames import known_queries, widest_margins
 from kinedex.pipelines.templates.template_learning import SubclassTemplate
@@ -40,11 +42,11 @@ class Annotator:
     classes : tuple of str, length P
         The names of the classes.
     subclasses : tuple of str, length S
-        The names of the templates.
+        The names of the subclasses, each with its template.
     class_index : int64 array (S,)
-        The class of each template.
+        The class of each subclass.
     templates : tuple of QuantisedTemplate, length S
-        The templates that distance curves are computed with.
+        The templates that distance curves are computed with; empty if the method needs none, and no query preselects.
     queries : tuple of tuple of KeyframeQuery, length S
         The queries that preselect frames for each template. A template without queries is matched in all frames.
     method : AnnotationMethod
@@ -81,8 +83,8 @@ class Annotator:
         A query with alternatives has the widest margins of all alternatives, because any of these may have found a hit.
         """
         found = []
-        for template, queries in zip(self.templates, self.queries, strict=True):
-            columns = template.values(len(self.feature_set.features)) if queries else np.empty((0, 0))
+        for place, queries in enumerate(self.queries):
+            columns = self.templates[place].values(len(self.feature_set.features)) if queries else np.empty((0, 0))
             found.append(tuple(widest_margins(query, columns, self.feature_set) for query in queries))
         return tuple(found)
 
@@ -125,7 +127,7 @@ class Annotator:
 
     def partly_known(self, known: Mapping[int, int]) -> list[Applicability]:
         """Return how templates and queries apply to takes that lack features; `known` has their masks by take_id."""
-        templates = dict(zip(self.subclasses, self.templates, strict=True))
+        templates = dict(zip(self.subclasses, self.templates, strict=False))
         queries = (query for own in self.queries for query in own)
         return applicability(self.feature_set, known.values(), templates, queries)
 
@@ -155,9 +157,9 @@ def make_annotator(
     tau: float | Mapping[str, float],
     queries: Sequence[KeyframeQuery] = (),
     method: type[AnnotationMethod] = ThesisMethod,
-    clips: Callable[[], Sequence[U64]] = tuple,
+    clips: Material | Callable[[], Sequence[U64]] = tuple,
 ) -> Annotator:
-    """Make an annotator: quantise the templates, and assign them and the queries to classes.
+    """Make an annotator: quantise the templates, assign them and the queries to classes, and fit the method.
 
     Parameters
     ----------
@@ -178,8 +180,8 @@ def make_annotator(
         targets are excluded (see `unknown_targets`).
     method : type of AnnotationMethod
         The method that labels frames.
-    clips : callable
-        Returns the words of the training clips; called only if the method needs them.
+    clips : Material, or callable
+        What the method is fitted with; or a function that returns the words of the training clips, if it needs no more.
 
     Returns
     -------
@@ -191,35 +193,102 @@ def make_annotator(
     KinedexError
         No template belongs to any class, or none has a fixed entry.
     """
+    material = clips if isinstance(clips, Material) else Material(Motions(partial(_unnamed_examples, clips)))
+    outline = _outline(templates, classes, delta, queries, material if method.needs.templates == "none" else None)
+    of_subclass = classes.of_subclass()
+    subclasses, learned = outline.subclasses, outline.learned
+    setting = Setting(
+        classes=classes.names,
+        subclasses=subclasses,
+        class_index=np.array([classes.names.index(of_subclass[one]) for one in subclasses], np.int64),
+        joints=feature_set.joints,
+        features=len(feature_set.features),
+        rate_hz=material.rate_hz,
+        templates=learned,
+        quantised=outline.quantised if learned else (),
+        thresholds=np.array([tau[name] if isinstance(tau, Mapping) else tau for name in classes.names], np.float64),
+        delta=delta,
+        feature_weights=material.feature_weights,
+        mirror=material.mirror,
+    )
+    return Annotator(
+        feature_set,
+        classes.names,
+        subclasses,
+        setting.class_index,
+        outline.quantised,
+        outline.queries,
+        method.fit(material.examples, material.unlabelled, setting),
+        remarks=outline.remarks,
+    )
+
+
+def _unnamed_examples(clips: Callable[[], Sequence[U64]]) -> list[LabelledMotion]:
+    """Return words of clips as examples of which no more is known."""
+    return [LabelledMotion(words=words, label="") for words in clips()]
+
+
+class _Outline(NamedTuple):
+    """The subclasses to label with, their templates and queries, and remarks on templates."""
+
+    subclasses: tuple[str, ...]
+    learned: tuple[Template, ...]
+    quantised: tuple[QuantisedTemplate, ...]
+    queries: tuple[tuple[KeyframeQuery, ...], ...]
+    remarks: tuple[str, ...]
+
+
+def _outline(
+    templates: Sequence[SubclassTemplate],
+    classes: Classes,
+    delta: float,
+    queries: Sequence[KeyframeQuery],
+    taught: Material | None,
+) -> _Outline:
+    """Return the subclasses that have templates; or those that have examples, for a method that needs no templates.
+
+    The templates of the latter serve queries, whose margins depend on them; a subclass without one has no query.
+    """
+    if taught is None:
+        used, remarks = _usable_templates(templates, classes, delta)
+        names = tuple(one.subclass for one, _ in used)
+        learned, quantised = tuple(one.learned.template for one, _ in used), tuple(one for _, one in used)
+        return _Outline(names, learned, quantised, _queries_of(names, queries, classes), remarks)
+    labels = {one.label for one in taught.examples if one.positive}
+    names = tuple(sorted(labels.intersection(classes.of_subclass())))
+    if not names:
+        raise KinedexError(
+            f"none of the classes {', '.join(classes.names)} has an example; there are examples of: "
+            f"{name_list(sorted(labels)) or 'nothing'}"
+        )
+    if not queries:
+        return _Outline(names, (), (), ((),) * len(names), ())
+    known = {one.subclass: own for one, own in _usable_templates(templates, classes, delta)[0]}
+    chosen = zip(names, _queries_of(names, queries, classes), strict=True)
+    within = tuple(own if one in known else () for one, own in chosen)
+    return _Outline(names, (), tuple(known.get(one, _ANYTHING) for one in names), within, ())
+
+
+_ANYTHING = QuantisedTemplate(np.zeros(1, np.uint64), np.zeros(1, np.uint64))
+
+
+def _usable_templates(
+    templates: Sequence[SubclassTemplate], classes: Classes, delta: float
+) -> tuple[list[tuple[SubclassTemplate, QuantisedTemplate]], tuple[str, ...]]:
+    """Return the templates of some classes that have fixed entries, also quantised, and remarks on the others."""
     of_subclass = classes.of_subclass()
     known = [one for one in templates if one.subclass in of_subclass]
     if not known:
         names = name_list([one.subclass for one in templates])
         raise KinedexError(f"none of the classes {', '.join(classes.names)} has a template; there are: {names}")
     quantised = {one.subclass: quantise(one.learned.template, delta) for one in known}
-    used = [one for one in known if quantised[one.subclass].fixed > 0]
+    used = [(one, quantised[one.subclass]) for one in known if quantised[one.subclass].fixed > 0]
     if not used:
         raise KinedexError(
             f"at delta = {delta:g} every template is wildcards alone and would fit anything: in no column is a feature "
             "within delta of 0 or 1; raise `delta`, or learn from clips that have more in common"
         )
-    class_index = np.array([classes.names.index(of_subclass[one.subclass]) for one in used], np.int64)
-    chosen = tuple(quantised[one.subclass] for one in used)
-    taus = [tau[name] if isinstance(tau, Mapping) else tau for name in classes.names]
-    subclasses = tuple(one.subclass for one in used)
-    sorted_templates = ClassTemplates(
-        tuple(one.learned.template for one in used), chosen, class_index, np.array(taus, np.float64)
-    )
-    return Annotator(
-        feature_set,
-        classes.names,
-        subclasses,
-        class_index,
-        chosen,
-        _queries_of(subclasses, queries, classes),
-        method.prepare(sorted_templates, clips),
-        remarks=_remarks({one.subclass: quantised[one.subclass].fixed for one in known}),
-    )
+    return used, _remarks({one.subclass: quantised[one.subclass].fixed for one in known})
 
 
 def _queries_of(

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import islice
+from typing import Any
 
 import numpy as np
 import polars as pl
@@ -16,13 +17,8 @@ from kinedex.ops.arrays import F32, F64, I64, Bool
 from kinedex.ops.distances.dtw import distance_curves
 from kinedex.ops.words import TakeWords
 from kinedex.pipelines.annotation.annotators import Annotator
-from kinedex.pipelines.annotation.methods import whole_takes
-from kinedex.pipelines.annotation.single_examples import (
-    PromisingRanges,
-    SingleExamples,
-    ranges_by_example,
-    words_fingerprint,
-)
+from kinedex.pipelines.annotation.methods import Takes, whole_takes
+from kinedex.pipelines.annotation.single_examples import PromisingRanges, ranges_by_example, words_fingerprint
 from kinedex.pipelines.engine.executors import Executor, batches_of
 from kinedex.pipelines.keyframes.preselected_frames import preselect, preselect_stored, ranges_around
 from kinedex.storage.store.store import Store
@@ -42,7 +38,7 @@ class TakeAnnotation:
     segments : tuple of Segment
         The segments of the take, in the order of their starts.
     preselected : float64 array (S,)
-        The fraction of the take's frames in which each template was matched.
+        The fraction of the take's frames in which each subclass, or its template, was looked for.
     curves : float32 array (S, L), optional
         The distance curves, if they are stored; ∞ for templates that are not applied to the take.
     applied : bool array (S,), optional
@@ -145,6 +141,7 @@ def annotate_words(
     store_curves: bool = False,
     store: Store | None = None,
     earlier: Mapping[int, PromisingRanges] | None = None,
+    positions: Sequence[F64] | None = None,
 ) -> list[TakeAnnotation]:
     """Annotate takes, with all templates at once.
 
@@ -160,28 +157,49 @@ def annotate_words(
         The store of the takes; its index, if it has one, is used for keyframe search.
     earlier : mapping of int to PromisingRanges, optional
         The promising ranges of examples that are known from an earlier run, by take_id.
+    positions : sequence of float64 arrays (L, J, 3), optional
+        The positions of each take, if the method needs them; by default they are read from the store.
 
     Returns
     -------
     list of TakeAnnotation
         One for each take, in their order. Takes that lack features are annotated with the features they have.
     """
+    needs = annotator.method.needs
+    store_curves = store_curves and needs.templates != "none"
+    if needs.positions and positions is None and store is not None:
+        positions = stored_positions(store, words.take_ids.tolist(), words.frames.tolist())
+    given = positions if positions is not None and needs.positions else ()
     if words.known is None:
-        return _with_confidences(annotator, words, _annotate_alike(annotator, words, store_curves, store, earlier))
+        alike = _annotate_alike(annotator, words, given, store_curves, store, earlier)
+        return _with_confidences(annotator, words, alike)
     found: dict[int, TakeAnnotation] = {}
     for mask in words.masks:
         places, own = words.knowing(mask)
         whole = mask & annotator.feature_set.every_bit == annotator.feature_set.every_bit
-        partial, chosen = (annotator, np.arange(len(annotator.templates))) if whole else annotator.restricted(mask)
+        partial, chosen = (annotator, np.arange(len(annotator.subclasses))) if whole else annotator.restricted(mask)
         known = earlier if whole else None
-        alike = _annotate_alike(partial, own, store_curves, store, known) if partial is not None else _nothing(own)
+        some = [given[place] for place in places.tolist()] if given else ()
+        alike = _nothing(own)
+        if partial is not None:
+            alike = _annotate_alike(partial, own, some, store_curves, store, known)
         made = alike if whole else [_of_all_templates(one, annotator, chosen, store_curves) for one in alike]
         found.update(zip(places.tolist(), made, strict=True))
     return _with_confidences(annotator, words, [found[place] for place in range(len(words))])
 
 
+def stored_positions(store: Store, take_ids: Sequence[int], frames: Sequence[int]) -> list[F64]:
+    """Return the positions of takes of a store, float64 (L, J, 3) each; takes may occur more than once."""
+    lengths = {take_id: length for take_id, length in zip(take_ids, frames, strict=True) if length}
+    read = store.positions([(take_id, 0, length) for take_id, length in lengths.items()])
+    found = {take_id: own.astype(np.float64) for take_id, own in zip(lengths, read, strict=True)}
+    return [found.get(take_id, np.empty((0, len(store.feature_set.joints), 3))) for take_id in take_ids]
+
+
 def _with_confidences(annotator: Annotator, words: TakeWords, found: list[TakeAnnotation]) -> list[TakeAnnotation]:
     """Return annotations with the confidence of each segment, if the annotator computes confidences."""
+    if annotator.method.offers.probabilities:
+        return [replace(one, confidences=tuple(segment.margin for segment in one.segments)) for one in found]
     if annotator.confidence is None:
         return found
     sure = iter(confidences_of(annotator, annotator.confidence, [one.segments for one in found], words.offsets))
@@ -220,7 +238,7 @@ def _nothing(words: TakeWords) -> list[TakeAnnotation]:
 
 def _of_all_templates(one: TakeAnnotation, annotator: Annotator, chosen: I64, store_curves: bool) -> TakeAnnotation:
     """Return an annotation by a subset of templates in the arrays of all templates."""
-    count = len(annotator.templates)
+    count = len(annotator.subclasses)
     preselected, applied = np.zeros(count), np.zeros(count, np.bool_)
     preselected[chosen], applied[chosen] = one.preselected, True
     curves = None
@@ -234,6 +252,7 @@ def _of_all_templates(one: TakeAnnotation, annotator: Annotator, chosen: I64, st
 def _annotate_alike(
     annotator: Annotator,
     words: TakeWords,
+    positions: Sequence[F64],
     store_curves: bool,
     store: Store | None,
     earlier: Mapping[int, PromisingRanges] | None,
@@ -241,14 +260,13 @@ def _annotate_alike(
     """Annotate takes in which all features of the annotator are known."""
     ranges = matched_ranges(annotator, words, store)
     curves = _curves(annotator, words, ranges) if store_curves else None
-    method = annotator.method
-    promising: list[PromisingRanges] | None = None
-    if isinstance(method, SingleExamples):
+    method: Any = annotator.method
+    takes, promising = Takes(words, ranges, positions), None
+    if method.offers.keeps_ranges:
         places = method.promising(words, [(earlier or {}).get(take) for take in words.take_ids.tolist()])
-        segments = method.annotate(words, ranges, places)
+        takes = replace(takes, promising=places)
         promising = [ranges_by_example(method.keys, own) for own in places]
-    else:
-        segments = method.annotate(words, ranges)
+    segments = method.annotate(takes)
     matched = np.array([_frames_within(one, words.offsets) for one in ranges], np.float64)
     found = []
     for index, take_id in enumerate(words.take_ids.tolist()):

@@ -81,6 +81,8 @@ def with_confidence(rows: pa.Table, annotator: Annotator, frames: Mapping[int, i
     frames : mapping of int to int
         The length of each take in frames, by take_id.
     """
+    if annotator.method.offers.probabilities:
+        return rows
     confidence = annotator.confidence
     classes = {name: index for index, name in enumerate(annotator.classes)}
     subclasses = {name: index for index, name in enumerate(annotator.subclasses)}

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
+from pkgutil import resolve_name
 from typing import Annotated, Literal
 
 from pydantic import BaseModel, ConfigDict, Field, field_validator
@@ -98,7 +99,7 @@ class MethodParameters(BaseModel):
     def without_effect(self) -> list[str]:
         """Return a remark on settings that the method does not use, if there are any."""
         asked = ["`tau: calibrated`"] * (self.tau == CALIBRATED) + ["`tau_by_class`"] * bool(self.tau_by_class)
-        if self.annotation_method.uses_thresholds or not asked:
+        if self.annotation_method.needs.thresholds or not asked:
             return []
         have = "has" if len(asked) == 1 else "have"
         return [f"{' and '.join(asked)} {have} no effect with `method: {self.method}`, which uses no thresholds"]
@@ -117,3 +118,22 @@ class AnnotationParameters(MethodParameters):
         "that assigns no label, and the background is learned from all takes; for archives with few labels",
     )
     store_curves: bool = Field(True, description="keep the distance curves, which the report draws")
+
+    @property
+    def annotation_method(self) -> type[AnnotationMethod]:
+        """The annotation method that `method` names, or the one that makes each example a template.
+
+        Raises
+        ------
+        KinedexError
+            The method has no form in which each example is a template.
+        """
+        method = annotation_method(self.method)
+        if not self.each_example:
+            return method
+        if not method.offers.each_example:
+            raise KinedexError(
+                f"`each_example` is for `method: best`, and the method is '{self.method}': change one of them"
+            )
+        found: type[AnnotationMethod] = resolve_name(method.offers.each_example)
+        return found

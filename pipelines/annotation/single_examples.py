@@ -10,7 +10,7 @@ compares the alternatives).
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import pairwise
@@ -24,13 +24,23 @@ from kinedex.ops.annotation.decoding import Decoding
 from kinedex.ops.annotation.promising_ranges import Group, promising_ranges, template_groups
 from kinedex.ops.annotation.segments import Segment
 from kinedex.ops.arrays import F64, I64, U64, Bool
-from kinedex.ops.errors import KinedexError, StoreError
+from kinedex.ops.errors import StoreError
 from kinedex.ops.templates.derived_templates import restricted_template
 from kinedex.ops.templates.templates import QuantisedTemplate, Template, quantise
 from kinedex.ops.words import TakeWords
-from kinedex.pipelines.annotation.annotators import Annotator
-from kinedex.pipelines.annotation.methods import BestMethod, ClassTemplates, whole_takes, with_usual_values
-from kinedex.pipelines.templates.examples import Rejected
+from kinedex.pipelines.annotation.methods import (
+    AnnotationMethod,
+    LabelledMotion,
+    Motion,
+    Motions,
+    Needs,
+    Offers,
+    Setting,
+    Takes,
+    best_known,
+    whole_takes,
+)
+from kinedex.pipelines.annotation.template_methods import BestMethod, with_usual_values
 from kinedex.pipelines.templates.template_learning import TrainingClips, learn_template
 from kinedex.storage.snapshot.schemas import result_schema
 from kinedex.storage.store.store import Store
@@ -142,7 +152,7 @@ MAX_FRAMES = 20_000
 
 
 @dataclass(frozen=True)
-class SingleExamples:
+class SingleExamples(AnnotationMethod):
     """Labels all frames of a take together, with every example as a template; a segment refers to its class's template.
 
     Attributes
@@ -155,15 +165,37 @@ class SingleExamples:
 
     name: ClassVar[str] = "best"
     label: ClassVar[str] = "examples in a row"
-    uses_thresholds: ClassVar[bool] = False
+    needs: ClassVar[Needs] = Needs(words=True, templates="outlines", ranges=True)
+    offers: ClassVar[Offers] = Offers(keeps_ranges=True)
 
     row: BestMethod
     positions: I64
 
     @classmethod
-    def prepare(cls, templates: ClassTemplates, clips: Callable[[], Sequence[U64]]) -> SingleExamples:
-        """Make the method from templates alone, each of which is treated as an example."""
-        return cls(BestMethod.prepare(templates, clips), np.arange(len(templates.learned)))
+    def fit(cls, examples: Motions[LabelledMotion], unlabelled: Motions[Motion], setting: Setting) -> SingleExamples:
+        """Make the method; templates of subclasses without examples, such as those from files, are used as they are.
+
+        Frames that match a rejected example best get no label. The common postures of the archive are the background.
+        """
+        usual = unlabelled.once(usual_postures, setting.features)
+        by_subclass: dict[str, list[LabelledMotion]] = {}
+        for one in (one for one in examples if one.positive):
+            by_subclass.setdefault(one.label, []).append(one)
+        found: list[tuple[int, Template]] = []
+        for place, subclass in enumerate(setting.subclasses):
+            own = by_subclass.get(subclass)
+            learned = [setting.templates[place]] if own is None else [_template_of(one, setting) for one in own]
+            found += [(place, one) for one in learned]
+        found += [(NOTHING, _template_of(one, setting)) for one in examples if not one.positive]
+        places = np.array([place for place, _ in found], np.int64)
+        row = BestMethod(
+            tuple(with_usual_values(template, usual) for _, template in found),
+            tuple(quantise(template, setting.delta) for _, template in found),
+            np.where(places == NOTHING, len(setting.classes), setting.class_index[places]),
+            usual,
+            Decoding(),
+        )
+        return cls(row, places)
 
     def restricted(self, known: int, templates: Sequence[QuantisedTemplate], chosen: I64) -> SingleExamples:
         """Return the method for takes in which only some features are known; see `ThesisMethod.restricted`."""
@@ -176,24 +208,21 @@ class SingleExamples:
         places = np.array([new[int(self.positions[example])] for example in kept], np.int64)
         return SingleExamples(self.row.restricted(known, list(kept.values()), np.array(list(kept), np.int64)), places)
 
-    def annotate(
-        self, words: TakeWords, ranges: Sequence[I64], promising: Sequence[I64] | None = None
-    ) -> list[list[Segment]]:
-        """Label takes; see `AnnotationMethod.annotate`.
-
-        `promising` holds the promising ranges of each take, if they are known.
-        """
+    def annotate(self, takes: Takes) -> list[list[Segment]]:
+        """Label takes; see `AnnotationMethod.annotate`."""
+        words = takes.words
         if not (self.positions != NOTHING).any():
             return [[] for _ in range(len(words))]
         whole = whole_takes(words)
-        within = [whole if place == NOTHING else ranges[place] for place in self.positions.tolist()]
+        within = [whole if place == NOTHING else takes.ranges[place] for place in self.positions.tolist()]
+        promising = takes.promising or self.promising(words)
         return [
             [
                 replace(one, subclass=int(self.positions[one.subclass]))
                 for one in segments
                 if self.positions[one.subclass] != NOTHING
             ]
-            for segments in self.row.annotate(words, within, promising or self.promising(words))
+            for segments in self.row.annotate(Takes(words, within, promising=promising))
         ]
 
     def promising(self, words: TakeWords, earlier: Sequence[PromisingRanges | None] | None = None) -> list[I64]:
@@ -239,67 +268,13 @@ class SingleExamples:
         return np.array(found, np.uint64)
 
 
-def usual_postures(words: U64, features: int) -> F64:
-    """Return the common postures of an archive, learned from at most `MAX_FRAMES` of its words, spread evenly."""
+def usual_postures(takes: Sequence[Motion], features: int) -> F64:
+    """Return the common postures of takes, learned from at most `MAX_FRAMES` of their frames, spread evenly."""
+    words = np.concatenate([np.empty(0, np.uint64), *(one.words for one in best_known(takes))])
     return background([words[:: -(-len(words) // MAX_FRAMES) or 1]], features)
 
 
-def with_single_examples(
-    annotator: Annotator,
-    clips: Sequence[TrainingClips],
-    rejected: Sequence[Rejected],
-    usual: F64,
-    delta: float,
-    feature_weights: F64 | None = None,
-) -> Annotator:
-    """Return an annotator that uses each example as a template, instead of the templates learned from the examples.
-
-    Parameters
-    ----------
-    annotator : Annotator
-        An annotator of the method `best`. Its templates without examples, such as those from files, are kept.
-    clips : sequence of TrainingClips
-        The examples of each subclass.
-    rejected : sequence of Rejected
-        Intervals that show no class; frames that match one of them best get no label.
-    usual : float64 array (K, f)
-        The common postures of the archive, see `usual_postures`.
-    delta : float
-        Values of a template within delta of 0 or 1 are fixed; costs are computed with these.
-    feature_weights : float64 array (f,), optional
-        The weights of features in costs.
-
-    Raises
-    ------
-    KinedexError
-        The annotator has another method.
-    """
-    if not isinstance(annotator.method, BestMethod):
-        raise KinedexError(
-            f"`each_example` is for `method: best`, and the method is '{annotator.method.name}': change one of them"
-        )
-    features = len(annotator.feature_set.features)
-    by_subclass = {one.subclass: one for one in clips}
-    found: list[tuple[int, Template]] = []
-
-    def add(place: int, label: str, words: U64, known: int) -> None:
-        alone = TrainingClips(label, ("",), (words,), known=known)
-        found.append((place, learn_template(alone, "soft", features, feature_weights).template))
-
-    for place, subclass in enumerate(annotator.subclasses):
-        if subclass in by_subclass:
-            for words in by_subclass[subclass].words:
-                add(place, subclass, words, by_subclass[subclass].known)
-        else:
-            found.append((place, annotator.method.templates[place]))
-    for one in rejected:
-        add(NOTHING, one.label, one.words, one.known)
-    places = np.array([place for place, _ in found], np.int64)
-    row = BestMethod(
-        tuple(with_usual_values(template, usual) for _, template in found),
-        tuple(quantise(template, delta) for _, template in found),
-        np.where(places == NOTHING, len(annotator.classes), annotator.class_index[places]),
-        usual,
-        Decoding(),
-    )
-    return replace(annotator, method=SingleExamples(row, places))
+def _template_of(example: LabelledMotion, setting: Setting) -> Template:
+    """Return the template that is learned from an example alone."""
+    alone = TrainingClips(example.label, ("",), (example.words,), known=example.known)
+    return learn_template(alone, "soft", setting.features, setting.feature_weights).template

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from functools import cache, partial
 
 import polars as pl
 
@@ -12,6 +13,8 @@ from kinedex.ops.errors import KinedexError, did_you_mean
 from kinedex.ops.evaluation.metrics import pooled
 from kinedex.ops.wording import name_list
 from kinedex.pipelines.annotation.annotation_tables import annotated_takes
+from kinedex.pipelines.annotation.material import unlabelled_takes
+from kinedex.pipelines.annotation.methods import Motions
 from kinedex.pipelines.annotation.parameters import AnnotationParameters, MethodParameters
 from kinedex.pipelines.engine.context import StageContext
 from kinedex.pipelines.evaluation.comparison_cells import (
@@ -195,7 +198,8 @@ def _known(context: StageContext, params: ComparisonParameters, store: Store) ->
             names = name_list([method.name for method in params.methods if method.learned_queries])
             raise KinedexError(f"queries of {names} are to be learned, so the pipeline needs a stage 'learn_keyframes'")
         learner = QueryLearner(context, context.params_of("keyframes", KeyframeParameters))
-    return StudyMaterial(store, classes, learned_with, {}, learner)
+    unlabelled = cache(lambda needs: Motions(partial(unlabelled_takes, store, needs)))
+    return StudyMaterial(store, classes, learned_with, {}, learner, unlabelled)
 
 
 def _folds(context: StageContext, plan: Plan, split: Split, known: StudyMaterial) -> list[Fold]:
@@ -226,7 +230,7 @@ def _folds(context: StageContext, plan: Plan, split: Split, known: StudyMaterial
 
 def _swept(params: ComparisonParameters) -> list[Method]:
     """Return the methods that use thresholds at each threshold of the sweep, once for methods that differ only in τ."""
-    curves = {method.curve_name: method for method in params.methods if method.annotation_method.uses_thresholds}
+    curves = {method.curve_name: method for method in params.methods if method.annotation_method.needs.thresholds}
     return [method.at(tau) for method in curves.values() for tau in params.taus]
 
 

@@ -12,11 +12,12 @@ from itertools import islice
 import numpy as np
 import pyarrow as pa
 
+from kinedex.ops.arrays import F64
 from kinedex.ops.intervals import TakeSegment
 from kinedex.ops.wording import name_list
 from kinedex.ops.words import ALL_KNOWN, TakeWords
 from kinedex.pipelines.annotation.annotators import Annotator
-from kinedex.pipelines.annotation.batches import BATCH_FRAMES, annotate_words
+from kinedex.pipelines.annotation.batches import BATCH_FRAMES, annotate_words, stored_positions
 from kinedex.pipelines.annotation.earlier_annotations import setting_digest
 from kinedex.pipelines.engine.code_digest import code_digest
 from kinedex.pipelines.engine.executors import Executor, batches_of
@@ -73,10 +74,13 @@ SegmentsByTake = dict[str, tuple[TakeSegment, ...]]
 def cell_key(fold: Fold, annotator: Annotator, store: Store) -> str:
     """Return a hash of the takes of a fold, the annotator and its code."""
     hasher = hashlib.sha256()
-    checksums = dict(store.takes().select("take_id", "checksum").iter_rows())
+    # positions depend on more than words do, such as the filling of gaps
+    columns = ["checksum", *(["recipe"] if annotator.method.needs.positions else [])]
+    rows = store.takes().select("take_id", *columns).iter_rows()
+    checksums = {take_id: " ".join(map(str, own)) for take_id, *own in rows}
     hasher.update(store.feature_set.digest.encode() + repr(store.rate_hz).encode())
     for test_take in fold.test_takes:
-        parts = [str(checksums[take_id]) for take_id in test_take.take_ids]
+        parts = [checksums[take_id] for take_id in test_take.take_ids]
         mask = test_take.known(store.known)
         known = [] if mask == ALL_KNOWN else [mask]
         hasher.update(json.dumps([test_take.name, test_take.frames, parts, *known]).encode())
@@ -147,6 +151,7 @@ def annotate_task(task: Task) -> SegmentsByTake:
     known = None if (masks == ALL_KNOWN).all() else masks
     together = TakeWords(np.arange(len(laid_out), dtype=np.int64), offsets, np.concatenate(laid_out), known)
     annotator = task.annotator
+    positions = _laid_out_positions(task) if annotator.method.needs.positions else None
     names = [one.name for one in task.test_takes]
     return {
         names[one.take_id]: tuple(
@@ -159,8 +164,16 @@ def annotate_task(task: Task) -> SegmentsByTake:
             )
             for segment in one.segments
         )
-        for one in annotate_words(annotator, together)
+        for one in annotate_words(annotator, together, positions=positions)
     }
+
+
+def _laid_out_positions(task: Task) -> list[F64]:
+    """Return the positions of the takes of a task, float64 (L, J, 3) each."""
+    ids = sorted({take_id for test_take in task.test_takes for take_id in test_take.take_ids})
+    read = stored_positions(task.store, ids, [task.store.take_frames[take_id] for take_id in ids])
+    of_take = dict(zip(ids, read, strict=True))
+    return [np.concatenate([of_take[take_id] for take_id in one.take_ids]) for one in task.test_takes]
 
 
 def cells_table(cells: Sequence[Cell], found: Mapping[str, SegmentsByTake], run: str) -> pa.Table:

@@ -42,6 +42,11 @@ class Method(MethodParameters):
         """True if templates are matched only within the hits of keyframe queries."""
         return self.learned_queries or bool(self.query_files)
 
+    @property
+    def uses_templates(self) -> bool:
+        """True if templates are learned: the method needs them, or the margins of keyframe queries do."""
+        return self.preselects or self.annotation_method.needs.templates != "none"
+
     def at(self, tau: float) -> Method:
         """Return the method with another threshold, which becomes part of its name."""
         return self.model_copy(update={"tau": tau, "tau_by_class": {}, "name": f"{self.curve_name} τ = {tau:g}"})
@@ -168,6 +173,6 @@ class ComparisonParameters(GroundTruthParameters):
 def _setting(method: Method) -> dict[str, object]:
     """Return everything that determines the results of a method."""
     fields = method.model_dump(exclude={"name", "queries"}) | {"queries": method.query_files}
-    if not method.annotation_method.uses_thresholds:
+    if not method.annotation_method.needs.thresholds:
         del fields["tau"], fields["tau_by_class"]
     return fields | {"learned": method.learned_queries}

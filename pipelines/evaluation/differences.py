@@ -9,6 +9,7 @@ from operator import attrgetter
 
 from kinedex.ops.evaluation.detection import bootstrap
 from kinedex.ops.evaluation.metrics import Counts, pooled
+from kinedex.pipelines.annotation.methods import METHODS, annotation_method
 from kinedex.pipelines.evaluation.annotation_scores import F_FRAMES, F_SEGMENTS, defined
 from kinedex.pipelines.evaluation.written_evaluations import MethodEvaluation
 
@@ -19,8 +20,8 @@ LEVELS = ("f1", "f2")
 NAMES = ("name", "title")
 """The settings that only name a method, and do not affect its results."""
 
-UNUSED_BY_BEST = ("tau", "tau_by_class")
-"""The settings that do not affect the method `best`, which uses no thresholds."""
+THRESHOLDS = ("tau", "tau_by_class")
+"""The settings that do not affect methods that need no thresholds."""
 
 Pair = tuple[float | None, float | None]
 
@@ -219,7 +220,9 @@ def _other_truth(a: MethodEvaluation, b: MethodEvaluation) -> UnsharedContent:
 
 def _settings(a: MethodEvaluation, b: MethodEvaluation) -> tuple[tuple[str, object, object], ...]:
     """Return the settings that differ, without those that do not affect A or B."""
-    idle = {*NAMES, *(UNUSED_BY_BEST if "best" in (a.settings.get("method"), b.settings.get("method")) else ())}
+    methods = [one.settings.get("method") for one in (a, b)]
+    without = any(name in METHODS and not annotation_method(str(name)).needs.thresholds for name in methods)
+    idle = {*NAMES, *(THRESHOLDS if without else ())}
     return tuple(
         (name, a.settings.get(name), b.settings.get(name))
         for name in dict.fromkeys((*a.settings, *b.settings))

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 
 from kinedex.catalog.classes import Classes, load_classes
 from kinedex.catalog.queries.keyframe_query import KeyframeQuery
@@ -13,6 +14,8 @@ from kinedex.ops.wording import name_list
 from kinedex.ops.words import ALL_KNOWN
 from kinedex.pipelines.annotation.annotation_setup import Preparation, queries_of, template_learner
 from kinedex.pipelines.annotation.annotators import unknown_targets
+from kinedex.pipelines.annotation.material import clip_examples
+from kinedex.pipelines.annotation.methods import Material, Motion, Motions, Needs
 from kinedex.pipelines.engine.context import StageContext
 from kinedex.pipelines.evaluation.comparison_cells import Cell, cell_key
 from kinedex.pipelines.evaluation.comparison_parameters import Method
@@ -89,6 +92,8 @@ class StudyMaterial:
         The learned templates by subclass, clips and kind.
     learned_queries : QueryLearner, optional
         Learns the queries of each fold, if any method uses learned queries.
+    unlabelled : callable
+        Returns the takes of the store with what a method needs, which all folds share.
     """
 
     store: Store
@@ -96,19 +101,20 @@ class StudyMaterial:
     learned_with: TemplateParameters
     templates: dict[tuple[str, tuple[str, ...], Kind], SubclassTemplate]
     learned_queries: QueryLearner | None
+    unlabelled: Callable[[Needs], Motions[Motion]]
 
 
 def with_templates(
     context: StageContext, methods: Sequence[Method], known: StudyMaterial, folds: Sequence[Fold]
 ) -> StudyMaterial:
     """Learn each template that folds need once, and the queries if a method uses learned ones."""
-    kinds = list(dict.fromkeys(method.templates for method in methods))
+    kinds = list(dict.fromkeys(method.templates for method in methods if method.uses_templates))
     wanted = {(one.subclass, one.names): one for fold in folds for one in fold.clips}
     features = len(context.feature_set.features)
     weights = feature_weights(known.learned_with.weights, context.feature_set)
     templates = dict(known.templates)
     with context.progress("templates", len(wanted) * len(kinds)) as progress:
-        for some in learn_templates(list(wanted.values()), kinds, features, context.executor, weights):
+        for some in learn_templates(list(wanted.values()), kinds, features, context.executor, weights) if kinds else ():
             templates |= {(one.subclass, one.clips, one.kind): one for one in some}
             progress.advance(len(some))
     if known.learned_queries is not None:
@@ -130,10 +136,7 @@ def method_remarks(methods: Sequence[Method], known: StudyMaterial) -> list[str]
 def make_cell(context: StageContext, known: StudyMaterial, fold: Fold, method: Method) -> Cell:
     """Make the cell of a method in a fold, with an annotator for its takes."""
     store = known.store
-    own = [known.templates[one.subclass, one.names, method.templates] for one in fold.clips]
-    templates = with_given_templates(
-        own, known.learned_with, store.feature_set, [method.templates], where_possible=True
-    )
+    templates = _templates_of(known, fold, method) if method.uses_templates else []
     if method.learned_queries:
         assert known.learned_queries is not None
         queries: Sequence[KeyframeQuery] = known.learned_queries.queries(fold)
@@ -142,9 +145,20 @@ def make_cell(context: StageContext, known: StudyMaterial, fold: Fold, method: M
     prepared = Preparation(store, method, known.classes, queries)
     learn = template_learner(store, method, known.learned_with, context.executor)
     calibration = prepared.thresholds(lambda: fold.clips, learn, context.executor)
-    whole = [one for one in fold.clips if one.known == ALL_KNOWN] or fold.clips
-    words = [words for one in whole for words in one.words]
-    annotator = prepared.annotator(templates, lambda: words, calibration)
+    needs = method.annotation_method.needs
+    weights = feature_weights(known.learned_with.weights, store.feature_set)
+    material = Material(
+        Motions(partial(clip_examples, store, fold.clips, (), needs)), known.unlabelled(needs), store.rate_hz, weights,
+        known.learned_with.mirror,
+    )  # fmt: skip
+    annotator = prepared.annotator(templates, material, calibration)
     masks = dict(enumerate(mask for one in fold.test_takes if (mask := one.known(store.known)) != ALL_KNOWN))
     remarks = (*annotator.remarks, *calibration.remarks, *annotator.remarks_on(masks))
     return Cell(cell_key(fold, annotator, store), fold, method, annotator, remarks)
+
+
+def _templates_of(known: StudyMaterial, fold: Fold, method: Method) -> list[SubclassTemplate]:
+    """Return the templates of a fold, learned ones and those of files and combinations."""
+    own = [known.templates[one.subclass, one.names, method.templates] for one in fold.clips]
+    kinds = [method.templates]
+    return with_given_templates(own, known.learned_with, known.store.feature_set, kinds, where_possible=True)

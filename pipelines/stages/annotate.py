@@ -20,13 +20,12 @@ from kinedex.ops.wording import counted, name_list
 from kinedex.pipelines.annotation.annotation_setup import (
     Preparation,
     annotation_classes,
+    archive_material,
     learned_queries,
     own_thresholds,
     queries_of,
-    single_examples_of,
     takes_to_annotate,
     template_learner,
-    template_words,
 )
 from kinedex.pipelines.annotation.annotation_tables import annotations_table, curves_table, takes_table
 from kinedex.pipelines.annotation.annotators import Annotator, unknown_targets
@@ -134,18 +133,15 @@ def _prepared(
 ) -> tuple[Annotator, Calibration, CalibratedConfidence]:
     """Return the annotator, and the thresholds and confidence that were calibrated for it."""
     made_with = context.params_of("templates", TemplateParameters)
+    learned_of_clips = params.annotation_method.needs.templates == "learned"
     examples = cache(lambda: training_material(store, made_with).clips)
-    single = single_examples_of(store, params, made_with) if params.each_example else None
-    rejected = rejected_examples(store, made_with, of_any=True) if params.each_example else []
-    prepared = Preparation(store, params, classes, queries, learned, single)
+    rejected = [] if learned_of_clips else rejected_examples(store, made_with, of_any=True)
+    material = archive_material(store, params, made_with, templates, examples, lambda: rejected)
+    prepared = Preparation(store, params, classes, queries, learned)
     learn, executor = template_learner(store, params, made_with, context.executor), context.executor
     calibration = prepared.thresholds(examples, learn, executor, lambda: rejected_examples(store, made_with))
-    # annotators of single examples use the common postures of all takes instead of those of clips
-    clips = partial(template_words, store, templates) if single is None else tuple
-    annotator = prepared.annotator(templates, clips, calibration)
-    if single is not None:
-        annotator = single(annotator, examples(), rejected)
-    confidence = prepared.confidence(examples(), takes, calibration, learn, executor, rejected)
+    annotator = prepared.annotator(templates, material, calibration)
+    confidence = prepared.confidence(examples(), takes, calibration, learn, executor, material, rejected)
     return replace(annotator, confidence=confidence.confidence), calibration, confidence
 
 
@@ -189,7 +185,11 @@ def _annotate(
     segments = [with_confidence(kept.annotations(context.run), annotator, lengths)]
     searched = dict(kept.searched)
     known = kept.curve_parts()
-    earlier = earlier_ranges(writer.store, context.key()) if context.code and params.each_example else {}
+    earlier = (
+        earlier_ranges(writer.store, context.key())
+        if context.code and params.annotation_method.offers.keeps_ranges
+        else {}
+    )
     promising = {take_id: earlier[take_id] for take_id in kept.searched if take_id in earlier}
     again = {} if context.anew else earlier
 

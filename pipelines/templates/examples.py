@@ -282,12 +282,16 @@ class Rejected:
         The words of the interval, without invalid frames.
     known : int
         The mask of the features known in the take, with the bits of a word.
+    start, stop : int
+        The frames [start, stop) of the interval.
     """
 
     label: str
     take: str
     words: U64
     known: int = int(ALL_KNOWN)
+    start: int = 0
+    stop: int = 0
 
 
 def rejected_examples(store: Store, params: ExampleParameters, *, of_any: bool = False) -> list[Rejected]:
@@ -315,7 +319,7 @@ def rejected_examples(store: Store, params: ExampleParameters, *, of_any: bool =
     words = example_words(store, refused)
     valid = ((one, own[own != NO_WORD]) for one, own in words.items())
     return [
-        Rejected(one.label, one.take, own, store.known.get(one.take_id, int(ALL_KNOWN)))
+        Rejected(one.label, one.take, own, store.known.get(one.take_id, int(ALL_KNOWN)), one.start, one.stop)
         for one, own in valid
         if len(own)
     ]

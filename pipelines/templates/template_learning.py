@@ -63,6 +63,8 @@ class TrainingClips:
         The mask of the features known in all clips, with the bits of a word. Only these are learned.
     actors : tuple of str
         The actor of each clip; by default the same for all. Clips of large classes are drawn evenly over actors.
+    starts : tuple of int
+        The first frame of each clip in its take; by default 0.
     """
 
     subclass: str
@@ -74,6 +76,12 @@ class TrainingClips:
     takes: tuple[str, ...] = ()
     known: int = int(ALL_KNOWN)
     actors: tuple[str, ...] = ()
+    starts: tuple[int, ...] = ()
+
+    @property
+    def of_starts(self) -> tuple[int, ...]:
+        """The first frame of each clip in its take."""
+        return self.starts or (0,) * len(self.names)
 
     @property
     def of_actors(self) -> tuple[str, ...]:
@@ -119,6 +127,7 @@ class TrainingClips:
             takes=tuple(self.of_takes[index] for index in chosen),
             known=self.known,
             actors=tuple(self.of_actors[index] for index in chosen),
+            starts=tuple(self.of_starts[index] for index in chosen),
         )
 
 
@@ -171,7 +180,9 @@ def example_clips(store: Store, examples: Iterable[Example]) -> list[TrainingCli
         who = {one.name: actors[one.take] or "" for one in chosen}
         usable = usable_clips(subclass, {one.name: words[one] for one in chosen}, known, who)
         take = {one.name: one.take for one in chosen}
-        clips.append(replace(usable, takes=tuple(take[name] for name in usable.names)))
+        first = {one.name: one.start + int(np.argmax(words[one] != NO_WORD)) for one in chosen}
+        takes = tuple(take[name] for name in usable.names)
+        clips.append(replace(usable, takes=takes, starts=tuple(first[name] for name in usable.names)))
     return clips
 
 

@@ -248,6 +248,7 @@ def with_mirrored(
             source=source,
             takes=own.of_takes + one.of_takes,
             actors=own.of_actors + one.of_actors,
+            starts=own.of_starts + one.of_starts,
             known=own.known & int(feature_set.mirrored(np.array([one.known], np.uint64))[0]),
         )
     return [found[name] for name in sorted(found)]

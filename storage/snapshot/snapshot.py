@@ -14,12 +14,13 @@ import pyarrow.parquet as pq
 
 from kinedex.catalog.features import FeatureSet
 from kinedex.catalog.sql.columns import ORIGIN
+from kinedex.ops.arrays import F32
 from kinedex.ops.errors import ParameterError, StoreError, did_you_mean
 from kinedex.ops.words import ALL_KNOWN, TakeWords
 from kinedex.storage.snapshot.checked_files import CheckedFiles
-from kinedex.storage.snapshot.frames import read_frames, read_takes, read_words
+from kinedex.storage.snapshot.frames import read_frames, read_intervals, read_takes, read_words
 from kinedex.storage.snapshot.manifest import Manifest, ResultPart
-from kinedex.storage.snapshot.parts import read_errors
+from kinedex.storage.snapshot.parts import joint_positions, read_errors
 from kinedex.storage.snapshot.schemas import labels_schema, result_schema, sorted_by, with_columns
 from kinedex.storage.snapshot.stored_labels import current_labels
 from kinedex.storage.snapshot.visible_results import all_parts, origin_of, pipeline_of, shown_parts
@@ -206,6 +207,26 @@ class Snapshot:
         names = {self.take_id(take): take for take in takes}
         for take_id, table in read_takes(self.checked, self.manifest, names, columns):
             yield names[take_id], table
+
+    def positions(self, intervals: Sequence[tuple[int, int, int]]) -> list[F32]:
+        """Return the joint positions of parts of takes, in the order of the parts.
+
+        Parameters
+        ----------
+        intervals : sequence of (int, int, int)
+            Ids of live takes with ranges of frames [start, stop), none of them empty.
+
+        Returns
+        -------
+        list of float32 arrays (L, J, 3)
+            Metres, Y up, in the order of the feature set's joints; NaN where a joint is not known.
+        """
+        joints = self.feature_set.joints
+        found = {
+            place: np.ascontiguousarray(joint_positions(rows, joints).transpose(2, 0, 1))
+            for place, rows in read_intervals(self.checked, self.manifest, intervals, joints)
+        }
+        return [found[place] for place in range(len(intervals))]
 
     def labels(self, *, history: bool = False) -> pa.Table:
         """Return the labels of the store, in the order in which they were added.

@@ -6,9 +6,10 @@ import numpy as np
 import pytest
 
 from kinedex.explorer import class_annotation
-from kinedex.explorer.class_annotation import CachingThesisMethod
+from kinedex.explorer.class_annotation import CachingMethod
 from kinedex.ops.cache import Cache
-from kinedex.pipelines.annotation.methods import ThesisMethod, whole_takes
+from kinedex.pipelines.annotation.methods import whole_takes
+from kinedex.pipelines.annotation.template_methods import ThesisMethod
 from tests.pipelines.annotation.test_batches import annotator, laid_out
 from tests.pipelines.labelled import motion
 
@@ -16,15 +17,15 @@ TAKE = np.concatenate([motion(name) for name in ("kick", "rest", "walk", "kick",
 
 
 @pytest.fixture
-def both(monkeypatch: pytest.MonkeyPatch) -> tuple[ThesisMethod, CachingThesisMethod]:
+def both(monkeypatch: pytest.MonkeyPatch) -> tuple[ThesisMethod, CachingMethod]:
     monkeypatch.setattr(class_annotation, "MATCHES", Cache(1_000_000, lambda held: held.nbytes))
     method = annotator("kick", "walk").method
     assert isinstance(method, ThesisMethod)
-    return method, CachingThesisMethod(method.templates, method.class_index, method.thresholds, ("store", 1))
+    return method, CachingMethod(method, ("store", 1))
 
 
 def test_cached_matches_are_those_of_the_ranges_that_are_asked_for(
-    both: tuple[ThesisMethod, CachingThesisMethod],
+    both: tuple[ThesisMethod, CachingMethod],
 ) -> None:
     """Matches of whole takes do not answer for a part of the takes, nor those of a part for another part."""
     method, cached = both

@@ -27,7 +27,8 @@ from kinedex.ops.words import ALL_KNOWN, U64, TakeWords
 from kinedex.pipelines.annotation import threshold_calibration as calibration
 from kinedex.pipelines.annotation.annotators import Annotator, make_annotator
 from kinedex.pipelines.annotation.batches import annotate_words
-from kinedex.pipelines.annotation.methods import BestMethod, ClassTemplates, ThesisMethod
+from kinedex.pipelines.annotation.methods import AnnotationMethod, Needs, Setting, Takes
+from kinedex.pipelines.annotation.template_methods import BestMethod, ThesisMethod
 from kinedex.pipelines.keyframes.applicability import applicability, not_applied_table
 from kinedex.pipelines.keyframes.parameters import KeyframeParameters, setting_of
 from kinedex.pipelines.keyframes.proposed_query import propose_query
@@ -327,17 +328,17 @@ def test_what_is_not_applied_is_reported(indexed: Store) -> None:
     assert applicability(BODY, [int(ALL_KNOWN), EVERY], {}, [kick]) == []
 
 
-class Blunt:
+class Blunt(AnnotationMethod):
     """A method of a plugin that knows nothing of masks."""
 
-    name, label, uses_thresholds = "blunt", "blunt", False
+    name, label, needs = "blunt", "blunt", Needs(words=True, templates="learned")
 
     @classmethod
-    def prepare(cls, templates: ClassTemplates, clips: object) -> Blunt:
+    def fit(cls, examples: object, unlabelled: object, setting: Setting) -> Blunt:
         return cls()
 
-    def annotate(self, words: TakeWords, ranges: object) -> list[list[Segment]]:
-        return [[Segment(0, 5, 0, 0.1, 0)] for _ in range(len(words))]
+    def annotate(self, takes: Takes) -> list[list[Segment]]:
+        return [[Segment(0, 5, 0, 0.1, 0)] for _ in takes]
 
 
 def test_a_method_that_needs_all_features_leaves_partial_bodies_alone_and_that_is_reported() -> None:

@@ -18,10 +18,10 @@ from kinedex.ops.errors import KinedexError
 from kinedex.ops.templates.templates import LearnedTemplate, Template, learn_soft
 from kinedex.ops.words import TakeWords
 from kinedex.pipelines.annotation import batches as annotating
-from kinedex.pipelines.annotation import methods
+from kinedex.pipelines.annotation import template_methods
 from kinedex.pipelines.annotation.annotators import Annotator, make_annotator, unknown_targets
 from kinedex.pipelines.annotation.batches import annotate_words, split_takes
-from kinedex.pipelines.annotation.methods import BestMethod
+from kinedex.pipelines.annotation.template_methods import BestMethod
 from kinedex.pipelines.keyframes.preselected_frames import preselect, template_ranges
 from kinedex.pipelines.templates.template_learning import SubclassTemplate
 from tests.oracles import annotation as naive
@@ -275,7 +275,7 @@ def test_segments_are_those_of_whole_curves_labelled_frame_by_frame(
             starts = dict(zip(ends.tolist(), begins.tolist(), strict=True))
             own.append(naive.modified(curve[start:stop].tolist(), starts, tau))
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(methods, "NARROW", narrow)
+        patch.setattr(template_methods, "NARROW", narrow)
         found = annotate_words(one, words)
     for take, own in zip(found, modified, strict=True):
         expected = naive.annotate(own, one.class_index.tolist(), tau)

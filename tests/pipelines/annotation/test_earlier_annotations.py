@@ -17,8 +17,8 @@ from kinedex.ops.errors import KinedexError
 from kinedex.pipelines.annotation import single_examples
 from kinedex.pipelines.annotation.annotators import Annotator, make_annotator
 from kinedex.pipelines.annotation.earlier_annotations import setting_digest
-from kinedex.pipelines.annotation.methods import BestMethod
 from kinedex.pipelines.annotation.parameters import AnnotationParameters
+from kinedex.pipelines.annotation.template_methods import BestMethod
 from kinedex.pipelines.engine.context import StageContext
 from kinedex.pipelines.stages import annotate
 from kinedex.pipelines.stages.annotate import Annotate

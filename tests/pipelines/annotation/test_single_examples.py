@@ -14,10 +14,11 @@ from kinedex.ops.words import TakeWords
 from kinedex.pipelines.annotation.annotators import Annotator, make_annotator
 from kinedex.pipelines.annotation.batches import annotate_words
 from kinedex.pipelines.annotation.earlier_annotations import setting_digest
-from kinedex.pipelines.annotation.methods import BestMethod, ThesisMethod
-from kinedex.pipelines.annotation.single_examples import MAX_FRAMES, usual_postures, with_single_examples
+from kinedex.pipelines.annotation.methods import AnnotationMethod, LabelledMotion, Material, Motion, Motions
+from kinedex.pipelines.annotation.parameters import AnnotationParameters
+from kinedex.pipelines.annotation.single_examples import MAX_FRAMES, SingleExamples, usual_postures
+from kinedex.pipelines.annotation.template_methods import BestMethod
 from kinedex.pipelines.engine.executors import make_executor
-from kinedex.pipelines.templates.examples import Rejected
 from kinedex.pipelines.templates.template_learning import TrainingClips, learn_templates
 from tests.pipelines.labelled import BODY, POSES, motion
 
@@ -31,15 +32,21 @@ def clips_of(label: str, *words: np.ndarray) -> TrainingClips:
     return TrainingClips(label, tuple(f"{label}{place}" for place in range(len(words))), words)
 
 
-def averaged(clips: list[TrainingClips], method: type = BestMethod) -> Annotator:
+def averaged(clips: list[TrainingClips]) -> Annotator:
+    return made_by(BestMethod, clips, lambda: [TAKE])
+
+
+def made_by(method: type[AnnotationMethod], clips: list[TrainingClips], given: object) -> Annotator:
     templates = [one for task in learn_templates(clips, ["soft"], 40, make_executor("serial", None)) for one in task]
     classes = load_classes("own", {one.subclass for one in clips})
-    return make_annotator(BODY, templates, classes, 0.05, 0.13, method=method, clips=lambda: [TAKE])
+    return make_annotator(BODY, templates, classes, 0.05, 0.13, method=method, clips=given)
 
 
-def single(clips: list[TrainingClips], *rejected: np.ndarray) -> Annotator:
-    refused = [Rejected("walk", "a take", words) for words in rejected]
-    return with_single_examples(averaged(clips), clips, refused, USUAL, 0.05)
+def single(clips: list[TrainingClips], *rejected: np.ndarray, examples: bool = True) -> Annotator:
+    shown = [LabelledMotion(label=one.subclass, words=words) for one in clips if examples for words in one.words]
+    shown += [LabelledMotion(label="walk", words=words, positive=False) for words in rejected]
+    archive = Motions(lambda: [Motion(words=TAKE)])
+    return made_by(SingleExamples, clips, Material(Motions(lambda: shown), archive))
 
 
 def laid_out(take: np.ndarray, known: int | None = None) -> TakeWords:
@@ -61,7 +68,7 @@ def test_one_example_of_each_class_labels_as_best_does(names: list[str], known: 
     take = np.concatenate([motion(name, 4) for name in names])
     clips = [clips_of(name, motion(name, 5)) for name in sorted(known)]
     twin = averaged(clips)
-    one = with_single_examples(twin, clips, [], background([TAKE], 40), 0.05)
+    one = single(clips)
     assert annotate_words(one, laid_out(take))[0].segments == annotate_words(twin, laid_out(take))[0].segments
 
 
@@ -93,18 +100,18 @@ def test_a_take_that_lacks_features_is_labelled_by_those_that_it_has() -> None:
 
 
 def test_a_template_without_examples_stays_as_it_is() -> None:
-    twin = averaged([clips_of("kick", motion("kick"))])
-    assert found(with_single_examples(twin, [], [], USUAL, 0.05), laid_out(TAKE)) == found(twin, laid_out(TAKE))
+    clips = [clips_of("kick", motion("kick"))]
+    assert found(single(clips, examples=False), laid_out(TAKE)) == found(averaged(clips), laid_out(TAKE))
 
 
 def test_the_method_of_the_thesis_has_no_single_examples() -> None:
-    clips = [clips_of("walk", motion("walk"))]
+    assert AnnotationParameters(method="best", each_example=True).annotation_method is SingleExamples
     with pytest.raises(KinedexError, match="`each_example` is for `method: best`"):
-        with_single_examples(averaged(clips, ThesisMethod), clips, [], USUAL, 0.05)
+        _ = AnnotationParameters(method="thesis", each_example=True).annotation_method
 
 
 def test_usual_postures_are_learned_from_words_of_the_whole_archive() -> None:
     words = np.concatenate([TAKE] * (2 * MAX_FRAMES // len(TAKE)))
-    assert usual_postures(words, 40).shape == USUAL.shape
-    np.testing.assert_allclose(usual_postures(TAKE, 40), USUAL)
-    assert usual_postures(np.empty(0, np.uint64), 40).shape == (1, 40)
+    assert usual_postures([Motion(words=words)], 40).shape == USUAL.shape
+    np.testing.assert_allclose(usual_postures([Motion(words=TAKE)], 40), USUAL)
+    assert usual_postures([], 40).shape == (1, 40)

@@ -73,7 +73,7 @@ def install(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Install
         return site
 
     yield put
-    for module in ("motion_seconds", "joints_reader", "joint_distance", "whole_take", "broken"):
+    for module in ("motion_seconds", "joints_reader", "joint_distance", "whole_take", "by_height", "broken"):
         sys.modules.pop(module, None)
     forget()
 
@@ -161,6 +161,17 @@ def test_the_method_of_the_page_labels_takes(install: Install, tmp_path: Path) -
     assert {row["method"] for row in rows} == {"whole take"}
     assert METHODS.distribution("whole_take") == "whole-take 1.0"
     assert METHODS.distribution("best") == ""
+
+
+def test_the_method_by_positions_of_the_page_labels_takes(install: Install, tmp_path: Path) -> None:
+    files = blocks("method")
+    project = files["pyproject.toml"].replace("whole-take", "by-height").replace("whole_take", "by_height")
+    install({"pyproject.toml": project.replace("WholeTake", "ByHeight"), "by_height.py": files["by_height.py"]})
+    line = labelled_line(tmp_path)
+    line.run(LearnTemplates, methods=["soft"])
+    assert line.run(Annotate, method="by_height")["segments"] == 2
+    rows = open_store(line.store).result("annotations").to_pylist()
+    assert {row["method"] for row in rows} == {"height of the root"}
 
 
 BROKEN = {
