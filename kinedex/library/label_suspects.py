@@ -66,7 +66,11 @@ def label_suspects(store: Store) -> Suspects:
     store : Store
         The store that holds takes and labels.
     """
-    chosen = examples_of(store, ExampleParameters(examples=[LABELS, CLIPS]), required=False)
+    chosen = examples_of(
+        store,
+        ExampleParameters(where="class IS NOT NULL", examples=[LABELS, CLIPS], labels_where="true"),
+        required=False,
+    )
     labels = [one for one in chosen.examples if one.positive]
     judgements = judge_labels(
         [Place(one.take_id, one.label) for one in labels],
