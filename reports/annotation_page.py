@@ -318,7 +318,7 @@ def breakable(name: str) -> Markup:
 
 
 def share(value: float | None) -> str:
-    """Format a fraction as a percentage."""
+    """Format a fraction as a percentage; "–" for None."""
     return "–" if value is None else f"{value:.0%}" if value >= 0.1 or value == 0 else f"{value:.1%}"
 
 

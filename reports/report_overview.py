@@ -173,7 +173,7 @@ def _labelled(segments: Sequence[TakeSegment]) -> dict[str, int]:
 
 
 def _agreement(scores: Sequence[Score]) -> tuple[float | None, float | None]:
-    """Return F (frames) and F (segments) over the pooled counts of takes."""
+    """Return F (frames) and F (segments) over the pooled counts of takes; None without scores."""
     counts = pooled(Counts(*(getattr(score, field.name) for field in fields(Counts))) for score in scores)
     return (counts.f1, counts.f2) if scores else (None, None)
 

@@ -276,7 +276,7 @@ class KnownFiles:
         return iter(self._at.values())
 
     def at_place(self, motion: SourceFile) -> KnownFile | None:
-        """Return the known file at the path of a motion file, even if its whole archive was moved to another root."""
+        """Return the known file with a motion file's path, below its root or gone from another; None if unknown."""
         here = self._at.get((motion.root, motion.path))
         moved = (file for file in self._with_path.get(motion.path, ()) if not file.is_there)
         return here or next(moved, None)

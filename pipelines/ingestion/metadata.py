@@ -383,7 +383,7 @@ class _Takes:
 
 
 def metadata_in_source(root: str, given: Sequence[str]) -> str | None:
-    """Return the path of a table `metadata.csv` (.tsv, .yaml, .yml) in a source, unless the user gave it, or None."""
+    """Return the path of `metadata.csv` (.tsv, .yaml, .yml) in a source; None if there is none, or the user gave it."""
     tables = (os.path.join(root, f"metadata{ending}") for ending in (".csv", ".tsv", ".yaml", ".yml"))
     known = {os.path.realpath(path) for path in given}
     return next((path for path in tables if os.path.isfile(path) and os.path.realpath(path) not in known), None)

@@ -224,7 +224,7 @@ def _joined(names: list[str], before: int, after: int, separator: str) -> list[s
 
 
 def _alike(sets: Sequence[set[str]]) -> bool:
-    """Return whether every set has only numbers, or none has and each has half of its values or more in the largest."""
+    """Return whether all sets hold numbers only, or none does and at least half of each is also in the largest set."""
     numbers = {all(value.isdecimal() for value in values) for values in sets}
     if numbers == {True}:
         return True

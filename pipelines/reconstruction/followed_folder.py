@@ -197,7 +197,7 @@ def _reconstructed(tracker: LiveTracker, path: Path, number: int, last: int, beg
 
 
 def _read(path: Path, camera: DepthCamera) -> tuple[F32 | None, str]:
-    """Return the depths in a file, or its error; wait for a file that is still being written."""
+    """Return the depths in a file and "", or None and its error; wait for a file that is still being written."""
     state, since = _written(path), time.monotonic()
     while True:
         try:

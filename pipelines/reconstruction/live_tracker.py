@@ -218,7 +218,7 @@ class LiveTracker:
         return self._measured is not None
 
     def step(self, values: npt.NDArray[np.generic]) -> tuple[FrameResult | None, F64]:
-        """Return the result of the next frame, and its pose in the world, float64 (24, 3); NaN without a person."""
+        """Return the result of the next frame and world positions (24, 3) of joints; None and NaN if nobody is seen."""
         return self.follow(self.camera.depths(values))
 
     def follow(self, image: F32) -> tuple[FrameResult | None, F64]:

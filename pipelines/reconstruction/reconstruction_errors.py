@@ -182,7 +182,7 @@ def true_positions(
 
 
 def _in_world(positions: F64, pose: WorldPose | None) -> F64:
-    """Return positions (J, 3, T) in the world."""
+    """Return positions (J, 3, T) moved by a pose into the world; without a pose they are unchanged."""
     if pose is None:
         return positions
     turned: F64 = np.einsum("ab,jbt->jat", np.array(pose.rotation), positions) + np.array(pose.place)[None, :, None]
@@ -278,7 +278,7 @@ def _rate(one: Comparison) -> float | None:
 
 
 def _statistics(scope: str, name: str, gaps: F64, known: Bool) -> dict[str, Any]:
-    """Return statistics of distances (T, J), by the mean of each frame."""
+    """Return a row with statistics of the mean distance of each frame, from distances (T, J) in metres."""
     means = _means(gaps)
     frames = means[np.isfinite(means)]
     found: dict[str, Any] = {

@@ -141,7 +141,7 @@ class RecordingTrack(NamedTuple):
 
     @property
     def results(self) -> Iterator[FrameResult | None]:
-        """The results of the chosen directions, frame by frame."""
+        """The results of the chosen directions, frame by frame; None for frames without an image."""
         return (self.directions[way][t] for t, way in enumerate(self.chosen.tolist()))
 
     @property
@@ -168,7 +168,7 @@ def make_scene(camera: DepthCamera, background: F32 | None, placement: Placement
 
 
 def coarse_camera(camera: DepthCamera, background: F32 | None, placement: Placement) -> Scene:
-    """Return a camera with reduced resolution, in which a person is first searched."""
+    """Return a camera with reduced resolution, whose images are first searched for a person."""
     return make_scene(camera, background, placement, max(1, camera.size[0] // _COARSE_PX))
 
 
@@ -306,7 +306,7 @@ def track_recording(
 
 
 def is_camera_moved(image: F32, background: F32 | None) -> bool:
-    """Return whether more than `MAX_BEHIND` of an image lies behind the empty room, so that the camera was moved."""
+    """Return whether more than `MAX_BEHIND` of an image lies behind the background; False without a background."""
     return background is not None and behind_share(image, background) > MAX_BEHIND
 
 

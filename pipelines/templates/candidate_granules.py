@@ -195,7 +195,7 @@ def first_thresholds(
 def _threshold_of(
     store: Store, sliced: SlicedWords, template: QuantisedTemplate, sample: CandidateGranules, tau: float, top: int
 ) -> float:
-    """Return the cost of the last of the best hits in some granules, whose `takes` are ids; tau if they are too few."""
+    """Return a threshold just above the cost of the `top`-th best hit in some granules; tau if they hold fewer."""
     ids = np.unique(sample.takes)
     if not len(ids):
         return tau

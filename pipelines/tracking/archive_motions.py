@@ -202,7 +202,7 @@ def _fingerprint(store: Store, clips: TrainingClips, template: Template, code: s
 
 
 def _fitted(task: _Task) -> tuple[ClassPoses | None, list[str]]:
-    """Return the poses of a class, and remarks on clips that cannot be used; runs in a worker."""
+    """Return the poses of a class, None if no clip can be used, and remarks on clips that cannot; runs in a worker."""
     clips, remarks = task.clips, []
     names, poses, frames = [], [], []
     for place, name in enumerate(clips.names):

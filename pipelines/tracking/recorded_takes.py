@@ -100,7 +100,7 @@ class RecordedTake(Protocol):
 
     @property
     def actor(self) -> str | None:
-        """The actor, if known."""
+        """The actor; None if unknown."""
 
     def joints(self, features: FeatureSet) -> Body:
         """Return the joints of the take as those of a motion file, in the order of a feature set."""
