@@ -120,7 +120,7 @@ def templates_of_take(store: Store, take_id: int) -> Row:
 
 
 def template_image(store: Store, choice: TemplateChoice) -> Row:
-    """Return a template as rows of values, with the features that count.
+    """Return the values of a template, feature by feature, with the weights of features and the names of its clips.
 
     Parameters
     ----------

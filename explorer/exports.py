@@ -245,7 +245,7 @@ _ORDER = (*SPLITS, CLIPS)
 
 
 def _by_class(rows: list[Row], sizes: list[int] | None) -> list[Row]:
-    """Return clips, seconds and bytes of each class of each split."""
+    """Return clips, seconds and bytes of each class of each split; bytes are None without `sizes`."""
     groups: dict[tuple[str, str], list[int]] = defaultdict(list)
     for number, row in enumerate(rows):
         groups[row["split"] or CLIPS, row["class"] or ""].append(number)

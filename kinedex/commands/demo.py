@@ -267,7 +267,7 @@ def figures(store: Store, recordings: Path) -> list[str]:
 
 
 def _agreement(rows: list[dict[str, Any]]) -> list[str]:
-    """Return lines about the agreement with the simulated annotators, at the angles τ = 45° and of the best F1."""
+    """Return lines about the agreement with the simulated annotators, at a threshold of 45° and at that of best F."""
     own = [row for row in rows if (row["scope"], row["detector"], row["annotator"]) == ("all", "sensors", "all")]
     known = [row for row in own if row["f1"] is not None]
     if not known:

@@ -1,4 +1,4 @@
-"""Define the commands about labels in files (export, read, diff) and in a store (import to reject)."""
+"""Define the commands `labels …`, which write, read and compare label files, and keep the labels of a store."""
 
 from __future__ import annotations
 

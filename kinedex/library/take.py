@@ -388,7 +388,7 @@ def body_of_array(
     joints: Sequence[str] | None,
     orientation: npt.ArrayLike | None,
 ) -> Body:
-    """Return a body with the joint positions of an array."""
+    """Return a body from positions (T, J, 3) in metres of the given joints; all other joints are NaN."""
     from kinedex.storage.formats.motion.points import root_orientation
     from kinedex.storage.formats.motion.reader import Body
 
