@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
@@ -11,9 +12,10 @@ import numpy as np
 from kinedex.catalog.classes import OWN, load_classes
 from kinedex.ops.arrays import F64
 from kinedex.ops.body.joint_tree import JOINTS
+from kinedex.ops.numeric.candidate_cuts import CUTTING_READINESS, Candidates, candidate_cuts
 from kinedex.ops.numeric.channels import channels
 from kinedex.ops.numeric.recogniser import DURATION_WEIGHT, PER_FRAME, READINESS, Recogniser, TaughtMotion
-from kinedex.ops.numeric.span_chain import Spans, aligned_spans, best_chain, candidate_cuts
+from kinedex.ops.numeric.span_chain import best_chain, spans_between
 from kinedex.ops.numeric.span_descriptors import SpanSums
 from kinedex.ops.words import TakeWords
 from kinedex.pipelines.annotation.annotators import Annotator, make_annotator
@@ -121,28 +123,24 @@ def most_of(labels: Sequence[Found]) -> str:
 def _by_part(taught: Recogniser, take: Motion, *, states: bool) -> list[Found]:
     """Label a take as the recogniser does, but by its states or its discriminant alone."""
     found = channels(take.positions, taught.joints, taught.rate_hz)
-    evidence = taught.rows.evidence(found.frames)
-    cuts = candidate_cuts(evidence, taught.rows.firsts)
-    spans = aligned_spans(evidence, taught.rows.firsts, cuts, np.exp(taught.log_frames), READINESS)
-    if not len(spans.starts):
-        return []
+    projected, columns = taught.rows.project(found.frames), taught.rows.columns
+    candidates = candidate_cuts(projected, columns)
+    spans = spans_between(candidates.cuts, np.exp(taught.log_frames))
     frames = (spans.stops - spans.starts)[:, None]
-    scores: F64 = spans.scores
+    worth: F64 = -0.5 * DURATION_WEIGHT * (np.log(frames) - taught.log_frames) ** 2 / taught.spread
     if not states:
         posteriors = taught.discriminant.log_posteriors(
             SpanSums(found, taught.rate_hz).describe(spans.starts, spans.stops)
         )
-        scores = np.where(np.isfinite(scores), frames * (READINESS + PER_FRAME * posteriors), -np.inf)
-    scores = scores - 0.5 * DURATION_WEIGHT * (np.log(frames) - taught.log_frames) ** 2 / taught.spread
-    chosen = best_chain(Spans(spans.starts, spans.stops, scores), len(take.words))
-    kinds = scores[chosen].argmax(axis=1)
+        worth += PER_FRAME * frames * posteriors
+        rows = replace(taught.rows, states=0 * taught.rows.states, usual=0 * taught.rows.usual)  # all alike
+        columns = rows.columns
+        candidates = Candidates(candidates.cuts, CUTTING_READINESS * candidates.cuts, np.zeros_like(projected[:, 0]))
+    chain = best_chain(projected, columns, candidates, spans, worth, READINESS)
     return [
-        Found(
-            int(spans.starts[span]), int(spans.stops[span]), taught.classes[kind],
-            float(scores[span, kind]) / float(frames[span, 0]),
-        )
-        for span, kind in zip(chosen.tolist(), kinds.tolist(), strict=True)
-    ]  # fmt: skip
+        Found(int(spans.starts[span]), int(spans.stops[span]), taught.classes[kind], score / float(frames[span, 0]))
+        for span, kind, score in zip(*(one.tolist() for one in chain), strict=True)
+    ]
 
 
 def _annotator(store: Store, examples: Sequence[Motion], method: str) -> Annotator:

@@ -6,13 +6,14 @@ two clips meet, reach channels of velocity only, which are limited.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
-from typing import NamedTuple
+from dataclasses import dataclass
 
+import numba as nb
 import numpy as np
 
-from kinedex.ops.arrays import F64
-from kinedex.ops.body.facing_direction import facing_yaw
+from kinedex.ops.arrays import F32, F64, I64
 from kinedex.ops.errors import ParameterError
 
 MAX_SPEED = 8.0
@@ -28,42 +29,61 @@ EXTREMITIES = ("ltoes", "rtoes", "lfingers", "rfingers", "head")
 """The joints whose velocities are channels."""
 
 
-class Channels(NamedTuple):
+@dataclass(frozen=True)
+class Channels:
     """The channels of the L frames of a take with J joints.
 
     Attributes
     ----------
-    pose : float64 array (L, 3 (J − 1))
-        The joints other than the root, relative to the ground below the root, in leg lengths, as left, up, forwards.
-    velocities : float64 array (L, 15)
-        The velocities of `EXTREMITIES` in leg lengths a second.
-    speeds : float64 array (L, J)
-        The speeds of all joints in leg lengths a second.
-    root : float64 array (L, 6)
-        The root's velocity (left, up, forwards), the turning rate in radians a second (positive to the left), its
-        absolute value, and the root's height.
+    frames : float32 array (L, C)
+        The channels by which frames are compared: `pose`, `velocities`, `speeds` and `root`, side by side.
     yaw : float64 array (L,)
         The heading in radians without jumps of 2π; it grows in turns to the left.
     """
 
-    pose: F64
-    velocities: F64
-    speeds: F64
-    root: F64
+    frames: F32
     yaw: F64
 
     @property
-    def frames(self) -> F64:
-        """The channels by which frames are compared, float64 (L, C): all but the heading."""
-        return np.concatenate([self.pose, self.velocities, self.speeds, self.root], axis=1)
+    def joints(self) -> int:
+        """The number of joints J."""
+        return (self.frames.shape[1] - 3 * len(EXTREMITIES) - 3) // 4
+
+    @property
+    def pose(self) -> F32:
+        """The joints other than the root, relative to the ground below the root, float32 (L, 3 (J − 1)).
+
+        They are in leg lengths, as left, up, forwards.
+        """
+        return self.frames[:, : 3 * self.joints - 3]
+
+    @property
+    def velocities(self) -> F32:
+        """The velocities of `EXTREMITIES` in leg lengths a second, float32 (L, 15)."""
+        first = 3 * self.joints - 3
+        return self.frames[:, first : first + 3 * len(EXTREMITIES)]
+
+    @property
+    def speeds(self) -> F32:
+        """The speeds of all joints in leg lengths a second, float32 (L, J)."""
+        return self.frames[:, -self.joints - 6 : -6]
+
+    @property
+    def root(self) -> F32:
+        """The root's channels, float32 (L, 6).
+
+        Its velocity (left, up, forwards), the turning rate in radians a second (positive to the left), its absolute
+        value, and the root's height.
+        """
+        return self.frames[:, -6:]
 
 
-def channels(positions: F64, joints: Sequence[str], rate_hz: float) -> Channels:
+def channels(positions: F64 | F32, joints: Sequence[str], rate_hz: float) -> Channels:
     """Compute the channels of a take.
 
     Parameters
     ----------
-    positions : float64 array (L, J, 3)
+    positions : float64 or float32 array (L, J, 3)
         The joints in metres, Y up.
     joints : sequence of str, length J
         The names of the joints; the first is the root.
@@ -80,21 +100,18 @@ def channels(positions: F64, joints: Sequence[str], rate_hz: float) -> Channels:
     if not np.isfinite(positions).all():
         raise ParameterError("positions", "of known joints", "unknown places")
     place = {name: index for index, name in enumerate(joints)}
-    yaw = running_mean(_heading(positions, place), SMOOTHED_S * rate_hz)
-    leg = _leg_length(positions, place)
-    ground = positions[:, :1] * np.array([1.0, 0.0, 1.0])
-    pose = _along_heading(positions - ground, yaw) / leg
-    velocities = _along_heading(np.gradient(positions, axis=0) * (rate_hz / leg), yaw)
-    turning = np.clip(np.gradient(yaw) * rate_hz, -MAX_TURN, MAX_TURN)
-    limited = np.clip(velocities, -MAX_SPEED, MAX_SPEED)
-    root = [limited[:, 0], turning[:, None], np.abs(turning)[:, None], pose[:, 0, 1:2]]
-    return Channels(
-        pose[:, 1:].reshape(len(pose), -1),
-        limited[:, [place[name] for name in EXTREMITIES]].reshape(len(pose), -1),
-        np.minimum(np.linalg.norm(velocities, axis=2), MAX_SPEED),
-        np.concatenate(root, axis=1),
-        yaw,
-    )
+    pairs = np.array([[place["lhip"], place["rhip"]], [place["lshoulder"], place["rshoulder"]]])
+    legs = np.array([[place[side + name] for name in ("hip", "knee", "ankle")] for side in "lr"])
+    heading, sides = _heading_and_legs(positions, pairs, legs)
+    leg = float(np.median(sides, axis=1).mean())
+    if leg <= 0:
+        raise ParameterError("positions", "with legs that have a length", "0 m")
+    if not np.isfinite(heading[0]):
+        raise ParameterError("positions", "with hips or shoulders that are apart from above", "a vertical line")
+    yaw = running_mean(heading, SMOOTHED_S * rate_hz)
+    frames = np.empty((len(positions), 4 * len(joints) + 3 * len(EXTREMITIES) + 3), np.float32)
+    _fill_frames(positions, yaw, leg, rate_hz, np.array([place[name] for name in EXTREMITIES]), frames)
+    return Channels(frames, yaw)
 
 
 def running_mean(values: F64, frames: float) -> F64:
@@ -115,31 +132,109 @@ def running_mean(values: F64, frames: float) -> F64:
     return (sums[2 * half + 1 :] - sums[: -2 * half - 1]) / (2 * half + 1)
 
 
-def _leg_length(positions: F64, place: dict[str, int]) -> float:
-    """Return the length of the legs, the median over frames and the mean of both sides."""
-    sides = []
-    for side in "lr":
-        hip, knee, ankle = (positions[:, place[side + name]] for name in ("hip", "knee", "ankle"))
-        sides.append(np.median(np.linalg.norm(hip - knee, axis=1) + np.linalg.norm(knee - ankle, axis=1)))
-    leg = float(np.mean(sides))
-    if leg <= 0:
-        raise ParameterError("positions", "with legs that have a length", "0 m")
-    return leg
+@nb.njit(cache=True, nogil=True)
+def _heading_and_legs(positions: F64 | F32, pairs: I64, legs: I64) -> tuple[F64, F64]:
+    """Return the heading of each frame without jumps of 2π, and the lengths of both legs (kernel).
+
+    Parameters
+    ----------
+    positions : float64 or float32 array (L, J, 3)
+        The joints in metres, Y up.
+    pairs : int64 array (2, 2)
+        The left and the right hip, the left and the right shoulder.
+    legs : int64 array (2, 3)
+        The hip, the knee and the ankle of each leg.
+
+    Returns
+    -------
+    heading : float64 array (L,)
+        It is kept where it is not determined; NaN if it never is.
+    lengths : float64 array (2, L)
+        The length of the left and of the right leg.
+    """
+    frames = len(positions)
+    heading = np.full(frames, np.nan)
+    lengths = np.zeros((2, frames))
+    known = 0  # the number of frames with a heading
+    for t in range(frames):
+        x = z = 0.0
+        for k in range(len(pairs)):
+            x += np.float64(positions[t, pairs[k, 0], 0]) - np.float64(positions[t, pairs[k, 1], 0])
+            z += np.float64(positions[t, pairs[k, 0], 2]) - np.float64(positions[t, pairs[k, 1], 2])
+        if x != 0.0 or z != 0.0:
+            yaw = math.atan2(-z, x)
+            if known == 0:
+                heading[:t] = yaw
+            else:
+                yaw += 2.0 * math.pi * np.rint((heading[t - 1] - yaw) / (2.0 * math.pi))
+            heading[t] = yaw
+            known += 1
+        elif known > 0:
+            heading[t] = heading[t - 1]
+        for side in range(2):
+            for part in range(2):
+                squares = 0.0
+                for axis in range(3):
+                    from_, to = legs[side, part], legs[side, part + 1]
+                    away = np.float64(positions[t, from_, axis]) - np.float64(positions[t, to, axis])
+                    squares += away * away
+                lengths[side, t] += math.sqrt(squares)
+    return heading, lengths
 
 
-def _along_heading(vectors: F64, yaw: F64) -> F64:
-    """Return vectors (L, J, 3) in the directions left, up, forwards of a heading (L,)."""
-    cosine, sine = np.cos(yaw)[:, None], np.sin(yaw)[:, None]
-    x, y, z = np.moveaxis(vectors, -1, 0)
-    return np.stack([cosine * x - sine * z, y, sine * x + cosine * z], axis=-1)
+@nb.njit(cache=True, nogil=True)
+def _fill_frames(positions: F64 | F32, yaw: F64, leg: float, rate_hz: float, extremities: I64, frames: F32) -> None:
+    """Compute pose, velocities, speeds and the root's channels of each frame (kernel).
+
+    Parameters
+    ----------
+    positions : float64 or float32 array (L, J, 3)
+        The joints in metres, Y up.
+    yaw : float64 array (L,)
+        The heading.
+    leg : float
+        The length of the legs in metres.
+    rate_hz : float
+        Frames per second.
+    extremities : int64 array (5,)
+        The joints whose velocities are channels.
+    frames : float32 array (L, C)
+        The channels, as in `Channels`; they are written.
+    """
+    count, joints, _ = positions.shape
+    moving = np.zeros((joints, 3))  # velocities along the heading
+    for t in range(count):
+        cosine, sine = math.cos(yaw[t]), math.sin(yaw[t])
+        before, after = max(t - 1, 0), min(t + 1, count - 1)
+        per_second = rate_hz / (leg * (after - before))
+        here, old, new, row = positions[t], positions[before], positions[after], frames[t]
+        ground_x, ground_z = np.float64(here[0, 0]), np.float64(here[0, 2])
+        speeds = 3 * joints - 3 + 3 * len(extremities)
+        for j in range(joints):
+            x, y, z = (
+                (np.float64(here[j, 0]) - ground_x) / leg,
+                np.float64(here[j, 1]) / leg,
+                (np.float64(here[j, 2]) - ground_z) / leg,
+            )
+            if j > 0:
+                row[3 * j - 3] = cosine * x - sine * z
+                row[3 * j - 2] = y
+                row[3 * j - 1] = sine * x + cosine * z
+            x = (np.float64(new[j, 0]) - np.float64(old[j, 0])) * per_second
+            y = (np.float64(new[j, 1]) - np.float64(old[j, 1])) * per_second
+            z = (np.float64(new[j, 2]) - np.float64(old[j, 2])) * per_second
+            moving[j, 0], moving[j, 1], moving[j, 2] = cosine * x - sine * z, y, sine * x + cosine * z
+            row[speeds + j] = min(math.sqrt(x * x + y * y + z * z), MAX_SPEED)
+        for k in range(len(extremities)):
+            for axis in range(3):
+                row[3 * joints - 3 + 3 * k + axis] = _limited(moving[extremities[k], axis], MAX_SPEED)
+        root = speeds + joints
+        for axis in range(3):
+            row[root + axis] = _limited(moving[0, axis], MAX_SPEED)
+        turning = _limited((yaw[after] - yaw[before]) * rate_hz / (after - before), MAX_TURN)
+        row[root + 3], row[root + 4], row[root + 5] = turning, abs(turning), np.float64(here[0, 1]) / leg
 
 
-def _heading(positions: F64, place: dict[str, int]) -> F64:
-    """Return the heading of each frame without jumps of 2π; it is kept where it is not determined."""
-    left, right = ([place[side + name] for name in ("hip", "shoulder")] for side in "lr")
-    yaw = facing_yaw(positions[:, left], positions[:, right])
-    known = np.flatnonzero(np.isfinite(yaw))
-    if not len(known):
-        raise ParameterError("positions", "with hips or shoulders that are apart from above", "a vertical line")
-    nearest = known[np.searchsorted(known, np.arange(len(yaw)), side="right").clip(1) - 1]
-    return np.unwrap(yaw[nearest])
+@nb.njit(cache=True, nogil=True)
+def _limited(value: float, limit: float) -> float:
+    return min(max(value, -limit), limit)

@@ -15,9 +15,10 @@ import numpy as np
 from kinedex.ops.arrays import F64
 from kinedex.ops.body.facing_direction import mirrored_positions
 from kinedex.ops.errors import ParameterError
+from kinedex.ops.numeric.candidate_cuts import candidate_cuts
 from kinedex.ops.numeric.channels import Channels, channels
 from kinedex.ops.numeric.discriminant import Discriminant
-from kinedex.ops.numeric.span_chain import Spans, aligned_spans, best_chain, candidate_cuts
+from kinedex.ops.numeric.span_chain import best_chain, spans_between
 from kinedex.ops.numeric.span_descriptors import SpanSums
 from kinedex.ops.numeric.state_rows import StateRows
 
@@ -174,17 +175,14 @@ class Recogniser:
             The evidence that is added to each frame of a label; less leaves more frames without one.
         """
         found = channels(positions, self.joints, self.rate_hz)
-        evidence = self.rows.evidence(found.frames)
-        cuts = candidate_cuts(evidence, self.rows.firsts)
-        spans = aligned_spans(evidence, self.rows.firsts, cuts, np.exp(self.log_frames), readiness)
-        if not len(spans.starts):
-            return []
+        projected, columns = self.rows.project(found.frames), self.rows.columns
+        candidates = candidate_cuts(projected, columns)
+        spans = spans_between(candidates.cuts, np.exp(self.log_frames))
         posteriors = self.discriminant.log_posteriors(SpanSums(found, self.rate_hz).describe(spans.starts, spans.stops))
         frames = (spans.stops - spans.starts)[:, None]
         away = (np.log(frames) - self.log_frames) ** 2 / self.spread
-        scores = spans.scores + PER_FRAME * frames * posteriors - 0.5 * DURATION_WEIGHT * away
-        chosen = best_chain(Spans(spans.starts, spans.stops, scores), len(positions))
-        kinds = scores[chosen].argmax(axis=1)
+        worth = PER_FRAME * frames * posteriors - 0.5 * DURATION_WEIGHT * away
+        chain = best_chain(projected, columns, candidates, spans, worth, readiness)
         return [
             Recognised(
                 int(spans.starts[span]),
@@ -192,7 +190,7 @@ class Recogniser:
                 self.classes[kind],
                 float(np.exp(posteriors[span, kind])),
             )
-            for span, kind in zip(chosen.tolist(), kinds.tolist(), strict=True)
+            for span, kind in zip(chain.spans.tolist(), chain.classes.tolist(), strict=True)
         ]
 
     def classify(self, positions: F64) -> F64:

@@ -1,8 +1,8 @@
-"""This module divides a take into spans with classes: candidate cuts, scores of all spans, and the best chain.
+"""This module divides a take into spans with classes: the spans between candidate cuts, and the best chain of them.
 
-A span between two candidate cuts has a score for each class: the evidence of the class's row of states along the best
-path, and how well the span as a whole fits the class. The best chain has the greatest sum of scores; frames may be left
-out of it.
+A span has a score for each class: the evidence of the class's row of states along the best path, and the span's worth,
+which says how well it fits the class as a whole. The best chain has the greatest sum of scores; frames may be left out
+of it. Paths are looked for only where a bound of their evidence says that the span might enter the chain.
 """
 
 from __future__ import annotations
@@ -12,231 +12,295 @@ from typing import NamedTuple
 import numba as nb
 import numpy as np
 
-from kinedex.ops.arrays import F64, I64, Bool
-
-SWITCHING = (3.0, 8.0, 20.0, 50.0)
-"""Costs at which a change of class is worth while; a cut at any of these is a candidate."""
-
-CUTTING_READINESS = 2.0
-"""The evidence of a frame that is added to states, against the background, while candidate cuts are looked for."""
+from kinedex.ops.arrays import F32, F64, I64, Bool
+from kinedex.ops.numeric.candidate_cuts import CUTTING_READINESS, SWITCHING, Candidates
+from kinedex.ops.numeric.state_columns import LANES, StateColumns
 
 LENGTHS = (0.4, 2.2)
 """The shortest and the longest span of a class, as multiples of the usual length of its examples."""
 
+SLACK = 1.0
+"""Bounds of evidence are greater by so much, against errors of rounding."""
+
 
 class Spans(NamedTuple):
-    """Spans between candidate cuts.
+    """The spans between candidate cuts whose length is one of some class, ordered by their beginning, then their end.
 
     Attributes
     ----------
-    starts, stops : int64 array (N,)
-        The frames of each span, stop excluded; ordered by stop.
-    scores : float64 array (N, P)
-        The score of each class, −∞ where the length is none of the class.
+    begins, ends : int64 array (M,)
+        The places of both cuts of each span among the candidates.
+    starts, stops : int64 array (M,)
+        Its frames, stop excluded.
+    fits : bool array (M, P)
+        Whether its length is one of each class.
     """
 
+    begins: I64
+    ends: I64
     starts: I64
     stops: I64
+    fits: Bool
+
+
+class Chain(NamedTuple):
+    """Spans that follow each other.
+
+    Attributes
+    ----------
+    spans : int64 array (n,)
+        Their places among all spans.
+    classes : int64 array (n,)
+        Their classes.
+    scores : float64 array (n,)
+        Their scores: the evidence of the path through the states of the class, and the worth.
+    """
+
+    spans: I64
+    classes: I64
     scores: F64
 
 
-def candidate_cuts(evidence: F64, firsts: I64) -> I64:
-    """Return the frames at which spans may begin or end, in ascending order; 0 and the length are among them.
+class _Evidence(NamedTuple):
+    """The evidence of states in those frames that were computed last, and the numbers that it is computed from.
 
-    Parameters
+    Attributes
     ----------
-    evidence : float64 array (L, S)
-        The evidence of each state in each frame.
-    firsts : int64 array (P + 1,)
-        The first state of each class, and S.
+    projected : float32 array (L, d + 1)
+        The projected frames, with a one behind each.
+    background : float32 array (L,)
+        The evidence of the background.
+    states : float32 array (d + 1, W)
+        The columns of states.
+    ring : float32 array (R, W)
+        The evidence of the last R frames, a power of two; that of frame t is row t modulo R.
+    lasts, firsts : int64 array (P,)
+        The columns of the last and the first state of each class.
     """
-    found = np.zeros(len(evidence) + 1, np.bool_)
-    found[[0, -1]] = True
-    for cost in SWITCHING:
-        found[:-1] |= changes_of_class(evidence, firsts, CUTTING_READINESS, cost)
-    return np.flatnonzero(found)
+
+    projected: F32
+    background: F32
+    states: F32
+    ring: F32
+    lasts: I64
+    firsts: I64
 
 
-def aligned_spans(evidence: F64, firsts: I64, cuts: I64, usual: F64, readiness: float) -> Spans:
-    """Return all spans between candidate cuts with the evidence of each class's states along the best path.
+def spans_between(cuts: I64, usual: F64) -> Spans:
+    """Return the spans between candidate cuts.
 
     Parameters
     ----------
-    evidence : float64 array (L, S)
-        The evidence of each state in each frame.
-    firsts : int64 array (P + 1,)
-        The first state of each class, and S.
     cuts : int64 array (N,)
         The candidate cuts in ascending order.
     usual : float64 array (P,)
         The usual length of each class in frames.
-    readiness : float
-        The evidence that is added to each frame of a span.
     """
     shortest = np.maximum(np.floor(LENGTHS[0] * usual), 1).astype(np.int64)
     longest = np.floor(LENGTHS[1] * usual).astype(np.int64)
     after = np.searchsorted(cuts, cuts + longest.max(), "right")
-    begins = np.repeat(np.arange(len(cuts)), after - np.arange(len(cuts)) - 1)
-    ends = np.concatenate([np.arange(i + 1, last) for i, last in enumerate(after.tolist())])
-    scores = path_evidence(evidence, firsts, cuts, begins, ends, shortest, longest, readiness)
-    kept = np.flatnonzero(np.isfinite(scores).any(axis=1))
-    order = kept[np.argsort(ends[kept], kind="stable")]
-    return Spans(cuts[begins[order]], cuts[ends[order]], scores[order])
+    counts = after - np.arange(len(cuts)) - 1
+    begins = np.repeat(np.arange(len(cuts)), counts)
+    ends = np.arange(len(begins)) - np.repeat(np.cumsum(counts) - counts, counts) + begins + 1
+    frames = (cuts[ends] - cuts[begins])[:, None]
+    fits = (shortest <= frames) & (frames <= longest)
+    kept = np.flatnonzero(fits.any(axis=1))
+    begins, ends = begins[kept], ends[kept]
+    return Spans(begins, ends, cuts[begins], cuts[ends], fits[kept])
 
 
-def best_chain(spans: Spans, frames: int) -> I64:
-    """Return the spans of the chain with the greatest sum of scores, in their order, int64 (n,).
+def best_chain(
+    projected: F32, columns: StateColumns, candidates: Candidates, spans: Spans, worth: F64, readiness: float
+) -> Chain:
+    """Return the chain with the greatest sum of scores.
 
-    Parameters
-    ----------
-    spans : Spans
-        The spans, ordered by stop.
-    frames : int
-        The length of the take.
-    """
-    return _chain(spans.starts, spans.stops, spans.scores.max(axis=1, initial=-np.inf), frames)
-
-
-@nb.njit(cache=True, nogil=True)
-def changes_of_class(evidence: F64, firsts: I64, readiness: float, cost: float) -> Bool:
-    """Return where the most probable sequence of states and background begins another motion (kernel).
+    Of classes with equal scores a span has the first.
 
     Parameters
     ----------
-    evidence : float64 array (L, S)
-        The evidence of each state in each frame; the background's is 0.
-    firsts : int64 array (P + 1,)
-        The first state of each class, and S.
-    readiness : float
-        The evidence that is added to every state.
-    cost : float
-        The cost of beginning a class, or the background.
-
-    Returns
-    -------
-    bool array (L,)
-        True in the first frame of each motion, and of each stretch of background.
-    """
-    frames, states = evidence.shape
-    classes = len(firsts) - 1
-    value = np.full(states + 1, -np.inf)
-    value[states] = 0.0
-    for k in range(classes):
-        value[firsts[k]] = evidence[0, firsts[k]] + readiness
-    steps = np.zeros((frames, states + 1), np.int8)  # 0 to 2 states ahead, 3 for what begins
-    ended = np.zeros(frames, np.int64)  # the state from which what begins in a frame comes
-    for t in range(1, frames):
-        end = states
-        for k in range(classes):
-            if value[firsts[k + 1] - 1] > value[end]:
-                end = firsts[k + 1] - 1
-        ended[t] = end
-        begun = value[end] - cost
-        for k in range(classes):
-            first = firsts[k]
-            for s in range(firsts[k + 1] - 1, first - 1, -1):
-                best, step = value[s], 0
-                if s >= first + 1 and value[s - 1] > best:
-                    best, step = value[s - 1], 1
-                if s >= first + 2 and value[s - 2] > best:
-                    best, step = value[s - 2], 2
-                if s == first and begun > best:
-                    best, step = begun, 3
-                value[s] = best + evidence[t, s] + readiness
-                steps[t, s] = step
-        if begun > value[states]:
-            value[states] = begun
-            steps[t, states] = 3
-    found = np.zeros(frames, np.bool_)
-    state = int(np.argmax(value))
-    for t in range(frames - 1, -1, -1):
-        step = steps[t, state]
-        if step == 3:
-            found[t] = True
-            state = ended[t]
-        else:
-            state -= step
-    found[0] = True
-    return found
-
-
-@nb.njit(cache=True, nogil=True)
-def path_evidence(
-    evidence: F64, firsts: I64, cuts: I64, begins: I64, ends: I64, shortest: I64, longest: I64, readiness: float
-) -> F64:
-    """Return the evidence of each class along the best path through its states in each span (kernel).
-
-    Parameters
-    ----------
-    evidence : float64 array (L, S)
-        The evidence of each state in each frame.
-    firsts : int64 array (P + 1,)
-        The first state of each class, and S.
-    cuts : int64 array (N,)
+    projected : float32 array (L, d + 1)
+        The projected frames of a take, with a one behind each.
+    columns : StateColumns
+        The states.
+    candidates : Candidates
         The candidate cuts.
-    begins, ends : int64 array (M,)
-        The cuts at which each span begins and ends; spans with one beginning follow each other by ascending end.
-    shortest, longest : int64 array (P,)
-        The fewest and the most frames of each class.
+    spans : Spans
+        The spans between them.
+    worth : float64 array (M, P)
+        What is added to the evidence of a span's path in each class; −∞ for none.
+    readiness : float
+        The evidence that is added to each frame of a span.
+    """
+    longest = int((spans.stops - spans.starts).max(initial=1))
+    ring = np.empty((1 << (longest - 1).bit_length(), columns.states.shape[1]), np.float32)
+    worth = np.where(spans.fits, worth, -np.inf)
+    gained = candidates.gains[spans.ends] - candidates.gains[spans.begins] + SWITCHING[0] + SLACK
+    bounds = worth + (gained + (readiness - CUTTING_READINESS) * (spans.stops - spans.starts))[:, None]
+    evidence = _Evidence(projected, candidates.background, columns.states, ring, columns.lasts, columns.firsts)
+    return _chain(evidence, len(candidates.cuts), spans, worth, bounds, np.float32(readiness))
+
+
+@nb.njit(cache=True, nogil=True)
+def _chain(evidence: _Evidence, cuts: int, spans: Spans, worth: F64, bounds: F64, readiness: float) -> Chain:
+    """Return the best chain (kernel).
+
+    Chains are extended cut by cut. The paths of a class from a cut are found, all at once, if the bound of one of its
+    spans is above the best chain that is known to end at the same cut.
+
+    Parameters
+    ----------
+    evidence : _Evidence
+        The evidence of states.
+    cuts : int
+        The number N of candidate cuts.
+    spans : Spans
+        The spans between candidate cuts.
+    worth, bounds : float64 array (M, P)
+        What is added to the evidence of a path, and a bound of their sum.
+    readiness : float
+        The evidence that is added to each frame.
+    """
+    classes = worth.shape[1]
+    computed = np.zeros(classes, np.int64)
+    best = np.zeros(cuts)  # the value of the best chain up to each cut
+    value = np.full(cuts, -np.inf)  # that of the best whose last span ends there, and this span
+    chosen, kinds, scores = np.full(cuts, -1, np.int64), np.zeros(cuts, np.int64), np.zeros(cuts)
+    stop = 0
+    for i in range(cuts):
+        if i > 0:
+            best[i] = max(best[i - 1], value[i])
+        first = stop
+        while stop < len(spans.begins) and spans.begins[stop] == i:
+            stop += 1
+        if stop == first:
+            continue
+        likely = int(np.argmax(bounds[first:stop])) % classes
+        for turn in range(classes):
+            k = likely if turn == 0 else turn - 1 if turn <= likely else turn
+            reach = first
+            highest = best[i]
+            for m in range(first, stop):
+                highest = max(highest, value[spans.ends[m]])
+                if best[i] + bounds[m, k] > highest:
+                    reach = m + 1
+            if reach == first:
+                continue
+            paths = _paths(evidence, k, spans.starts[first], spans.stops[first:reach], computed, readiness)
+            for m in range(first, reach):
+                end, score = spans.ends[m], paths[m - first] + worth[m, k]
+                found = best[i] + score
+                if found > value[end] or (found == value[end] and chosen[end] == m and k < kinds[end]):
+                    value[end], chosen[end], kinds[end], scores[end] = found, m, k, score
+    return _traced(spans.begins, best, value, Chain(chosen, kinds, scores))
+
+
+@nb.njit(cache=True, nogil=True)
+def _traced(begins: I64, best: F64, value: F64, last: Chain) -> Chain:
+    """Return the chain that ends at the last cut (kernel).
+
+    Parameters
+    ----------
+    begins : int64 array (M,)
+        The cut at which each span begins.
+    best, value : float64 array (N,)
+        The value of the best chain up to each cut, and of the best whose last span ends there.
+    last : Chain
+        This last span for each of the N cuts.
+    """
+    ends = np.empty(len(best), np.int64)
+    count, at = 0, len(best) - 1
+    while at > 0:
+        if value[at] > best[at - 1]:
+            ends[count] = at
+            count += 1
+            at = begins[last.spans[at]]
+        else:
+            at -= 1
+    ends = ends[:count][::-1]
+    return Chain(last.spans[ends], last.classes[ends], last.scores[ends])
+
+
+@nb.njit(cache=True, nogil=True)
+def _paths(evidence: _Evidence, k: int, start: int, stops: I64, computed: I64, readiness: float) -> F64:
+    """Return the evidence of the best paths through the states of a class from a frame to others (kernel).
+
+    Parameters
+    ----------
+    evidence : _Evidence
+        The evidence of states.
+    k : int
+        The class.
+    start : int
+        The first frame of all paths.
+    stops : int64 array (n,)
+        The frames behind each path in ascending order.
+    computed : int64 array (P,)
+        The frame up to which the ring has the evidence of each class; it is continued.
     readiness : float
         The evidence that is added to each frame.
 
     Returns
     -------
-    float64 array (M, P)
-        −∞ where the length is none of the class, or no path fits.
+    float64 array (n,)
+        −∞ where no path from the first to the last state is so short.
     """
-    classes = len(firsts) - 1
-    found = np.full((len(begins), classes), -np.inf)
-    for k in range(classes):
-        first, states = firsts[k], firsts[k + 1] - firsts[k]
-        value = np.empty(states)
-        at = 0
-        begun = -1
-        for i in range(len(begins)):
-            start, stop = cuts[begins[i]], cuts[ends[i]]
-            if begins[i] != begun:
-                begun = begins[i]
-                value[:] = -np.inf
-                value[0] = evidence[start, first] + readiness
-                at = start + 1
-            if stop - start > longest[k]:
-                continue
-            while at < stop:
-                for s in range(states - 1, -1, -1):
-                    best = value[s]
-                    if s >= 1 and value[s - 1] > best:
-                        best = value[s - 1]
-                    if s >= 2 and value[s - 2] > best:
-                        best = value[s - 2]
-                    value[s] = best + evidence[at, first + s] + readiness
-                at += 1
-            if stop - start >= shortest[k]:
-                found[i, k] = value[states - 1]
+    last, first = evidence.lasts[k], evidence.firsts[k]
+    behind = (
+        last + -(-(first - last + 1) // LANES) * LANES
+    )  # columns of the next class make vectors whole, and do no harm
+    values = np.full(behind - last + 2, -np.inf, np.float32)
+    found = np.empty(len(stops))
+    states = evidence.states[:, last:behind].copy()
+    slots = len(evidence.ring) - 1  # a power of two, less one
+    for t in range(max(start, computed[k]), stops[-1]):
+        row = evidence.ring[t & slots, last:behind]
+        _fill_row(evidence.projected[t], evidence.background[t], states, row)
+    computed[k] = max(computed[k], stops[-1])
+    values[first - last] = evidence.ring[start & slots, first] + readiness
+    t = start + 1
+    for n in range(len(stops)):
+        while t < stops[n]:
+            _step(values, evidence.ring[t & slots, last:behind], readiness)
+            t += 1
+        found[n] = values[0]
     return found
 
 
 @nb.njit(cache=True, nogil=True)
-def _chain(starts: I64, stops: I64, scores: F64, frames: int) -> I64:
-    best = np.zeros(frames + 1)
-    chosen = np.full(frames + 1, -1, np.int64)
-    span = 0
-    for t in range(1, frames + 1):
-        best[t] = best[t - 1]
-        while span < len(stops) and stops[span] == t:
-            value = best[starts[span]] + scores[span]
-            if value > best[t]:
-                best[t] = value
-                chosen[t] = span
-            span += 1
-    found = np.empty(len(stops), np.int64)
-    count = 0
-    t = frames
-    while t > 0:
-        if chosen[t] < 0:
-            t -= 1
-        else:
-            found[count] = chosen[t]
-            count += 1
-            t = starts[chosen[t]]
-    return found[:count][::-1].copy()
+def _step(values: F32, evidence: F32, readiness: float) -> None:
+    """Move the best paths into each column one frame on (kernel)."""
+    for i in range(len(evidence)):
+        one, two, best = values[i + 1], values[i + 2], values[i]
+        best = one if one > best else best
+        best = two if two > best else best
+        values[i] = best + evidence[i] + readiness
+
+
+@nb.njit(cache=True, nogil=True, fastmath={"contract"})
+def _fill_row(projected: F32, background: float, states: F32, row: F32) -> None:
+    """Compute the evidence of a frame in some columns (kernel).
+
+    Parameters
+    ----------
+    projected : float32 array (d + 1,)
+        The projected frame, with a one behind.
+    background : float
+        The evidence of the background.
+    states : float32 array (d + 1, n)
+        The columns.
+    row : float32 array (n,)
+        The evidence; it is written.
+    """
+    directions = len(projected) - 1
+    constants = states[directions]
+    for i in range(len(row)):
+        row[i] = constants[i] - background
+    whole = directions - directions % 4
+    for d in range(0, whole, 4):  # four directions at a time, as reading and writing the row costs more than products
+        a, b, c, e = projected[d], projected[d + 1], projected[d + 2], projected[d + 3]
+        one, two, three, four = states[d], states[d + 1], states[d + 2], states[d + 3]
+        for i in range(len(row)):
+            row[i] += a * one[i] + b * two[i] + c * three[i] + e * four[i]
+    for d in range(whole, directions):
+        for i in range(len(row)):
+            row[i] += projected[d] * states[d, i]

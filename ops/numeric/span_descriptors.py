@@ -7,9 +7,12 @@ second at either end counts for the duration only, as smoothing there reaches ac
 
 from __future__ import annotations
 
+import math
+
+import numba as nb
 import numpy as np
 
-from kinedex.ops.arrays import F64, I64
+from kinedex.ops.arrays import F32, F64, I64
 from kinedex.ops.errors import ParameterError
 from kinedex.ops.numeric.channels import Channels
 
@@ -21,7 +24,7 @@ TRIMMED_S = 0.1
 
 
 class SpanSums:
-    """The sums of a take's channels before each frame, from which spans are described.
+    """The channels of a take as numbers of which spans need sums.
 
     Parameters
     ----------
@@ -32,14 +35,14 @@ class SpanSums:
     """
 
     def __init__(self, found: Channels, rate_hz: float) -> None:
-        numbers = np.concatenate([found.pose, np.log(found.speeds + SLOW), found.root], axis=1)
-        powers = np.concatenate([numbers, numbers**2], axis=1)
-        self._sums = np.concatenate([np.zeros((1, powers.shape[1])), np.cumsum(powers, axis=0)])
+        self._numbers = (found.pose, np.log(found.speeds + np.float32(SLOW)), found.root)
         self._velocity = found.pose.shape[1] + found.speeds.shape[1]
         self._yaw, self._rate_hz = found.yaw, rate_hz
 
     def describe(self, starts: I64, stops: I64) -> F64:
         """Return the descriptors of S spans, float64 (S, D).
+
+        The channels are summed up once, to all frames where a span begins or ends.
 
         Parameters
         ----------
@@ -57,11 +60,51 @@ class SpanSums:
         trimmed = round(TRIMMED_S * self._rate_hz)
         ends = np.where(frames >= 4 * trimmed, trimmed, 0)
         first, last = starts + ends, stops - ends
-        sums = self._sums[last] - self._sums[first]
-        pooled = sums / (last - first)[:, None]
-        mean, square = np.split(pooled, 2, axis=1)
-        deviation = np.sqrt(np.maximum(square - mean**2, 0.0))
+        edges, places = np.unique(np.concatenate([first, last]), return_inverse=True)
+        count = sum(one.shape[1] for one in self._numbers)
+        sums, squares = np.zeros((2, len(edges), count))
+        at = 0
+        for one in self._numbers:
+            _sum_up(one, edges, sums[:, at : at + one.shape[1]], squares[:, at : at + one.shape[1]])
+            at += one.shape[1]
+        found = np.empty((len(starts), 2 * count + 5))
+        _pool(sums, squares, places[: len(first)], places[len(first) :], last - first, found)
         turn = self._yaw[last - 1] - self._yaw[first]
-        way = sums[:, [self._velocity, self._velocity + 2]] / self._rate_hz
-        duration = np.log(frames / self._rate_hz)
-        return np.concatenate([mean, deviation, turn[:, None], np.abs(turn)[:, None], way, duration[:, None]], axis=1)
+        seconds = (last - first) / self._rate_hz
+        found[:, 2 * count] = turn
+        found[:, 2 * count + 1] = np.abs(turn)
+        found[:, 2 * count + 2] = found[:, self._velocity] * seconds
+        found[:, 2 * count + 3] = found[:, self._velocity + 2] * seconds
+        found[:, 2 * count + 4] = np.log(frames / self._rate_hz)
+        return found
+
+
+@nb.njit(cache=True, nogil=True)
+def _sum_up(numbers: F32, edges: I64, sums: F64, squares: F64) -> None:
+    """Write the sums of numbers (L, n) and of their squares before each of some frames, which ascend (kernel)."""
+    width = numbers.shape[1]
+    total, total_squares = np.zeros(width), np.zeros(width)
+    t = edges[0] if len(edges) else 0
+    for k in range(len(edges)):
+        while t < edges[k]:
+            row = numbers[t]
+            for i in range(width):
+                number = np.float64(row[i])
+                total[i] += number
+                total_squares[i] += number * number
+            t += 1
+        sums[k], squares[k] = total, total_squares
+
+
+@nb.njit(cache=True, nogil=True)
+def _pool(sums: F64, squares: F64, firsts: I64, lasts: I64, frames: I64, found: F64) -> None:
+    """Write the means and the deviations of spans, side by side, from sums at their ends (kernel)."""
+    width = sums.shape[1]
+    for span in range(len(frames)):
+        low, high, share = firsts[span], lasts[span], 1.0 / frames[span]
+        row = found[span]
+        for i in range(width):
+            mean = (sums[high, i] - sums[low, i]) * share
+            square = (squares[high, i] - squares[low, i]) * share
+            row[i] = mean
+            row[width + i] = math.sqrt(max(square - mean * mean, 0.0))

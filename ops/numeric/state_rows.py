@@ -9,13 +9,15 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import numba as nb
 import numpy as np
 
-from kinedex.ops.arrays import F64, I64
+from kinedex.ops.arrays import F32, F64, I64
 from kinedex.ops.errors import ParameterError
 from kinedex.ops.numeric.discriminant import shrunk
+from kinedex.ops.numeric.state_columns import PIECE, StateColumns
 
 STATE_S = 1 / 6
 """The duration of a state, in seconds."""
@@ -67,16 +69,16 @@ class StateRows:
     usual: F64
 
     @classmethod
-    def fit(cls, examples: Sequence[F64], classes: I64, archive: F64, rate_hz: float) -> StateRows:
+    def fit(cls, examples: Sequence[F32 | F64], classes: I64, archive: F32 | F64, rate_hz: float) -> StateRows:
         """Learn the states of all classes.
 
         Parameters
         ----------
-        examples : sequence of float64 arrays (L, C)
+        examples : sequence of float32 or float64 arrays (L, C)
             The channels of the examples, each of two frames at least.
         classes : int64 array (E,)
             The class of each example, from 0; every class up to the greatest has one.
-        archive : float64 array (A, C)
+        archive : float32 or float64 array (A, C)
             The channels of frames of all kinds, for the background.
         rate_hz : float
             Frames per second.
@@ -88,7 +90,7 @@ class StateRows:
         """
         counts = _state_counts(examples, classes, rate_hz)
         firsts = np.concatenate([[0], np.cumsum(counts)])
-        frames, lengths = np.concatenate(examples), [len(one) for one in examples]
+        frames, lengths = np.concatenate(examples).astype(np.float64), [len(one) for one in examples]
         centre = frames.mean(axis=0)
         spread = np.where((deviation := frames.std(axis=0)) > 0, deviation, 1.0)
         standard = (frames - centre) / spread
@@ -113,12 +115,38 @@ class StateRows:
         usual = usual_frames((some - centre) / spread @ projection, USUAL)
         return cls(centre, projection / spread[:, None], states, firsts, usual)
 
-    def evidence(self, frames: F64) -> F64:
+    @cached_property
+    def columns(self) -> StateColumns:
+        """The states as columns of one matrix."""
+        return StateColumns.of_means(self.usual, self.states, self.firsts, PER_NAT)
+
+    def project(self, frames: F32) -> F32:
+        """Return projected frames with a one behind each, float32 (L, d + 1).
+
+        Parameters
+        ----------
+        frames : float32 array (L, C)
+            The channels of a take.
+        """
+        weights, constants = self._linear
+        found = np.empty((len(frames), weights.shape[1]), np.float32)
+        for first in range(0, len(frames), PIECE):
+            np.matmul(frames[first : first + PIECE], weights, out=found[first : first + PIECE])
+        found += constants
+        return found
+
+    @cached_property
+    def _linear(self) -> tuple[F32, F32]:
+        """Weights (C, d + 1) and constants (d + 1,) that project channels, and put a one behind."""
+        weights = np.concatenate([self.projection, np.zeros((len(self.projection), 1))], axis=1)
+        return weights.astype(np.float32), np.append(-self.centre @ self.projection, 1.0).astype(np.float32)
+
+    def evidence(self, frames: F32 | F64) -> F64:
         """Return how much better each state explains each frame than the background does, float64 (L, S).
 
         Parameters
         ----------
-        frames : float64 array (L, C)
+        frames : float32 or float64 array (L, C)
             The channels of a take.
         """
         projected = (frames - self.centre) @ self.projection
@@ -151,7 +179,7 @@ def usual_frames(frames: F64, count: int, rounds: int = 15) -> F64:
     return means
 
 
-def _state_counts(examples: Sequence[F64], classes: I64, rate_hz: float) -> I64:
+def _state_counts(examples: Sequence[F32 | F64], classes: I64, rate_hz: float) -> I64:
     """Return the number of states of each class, by the median length of its examples."""
     short = [index for index, one in enumerate(examples) if len(one) < 2]
     if short:
