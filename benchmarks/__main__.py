@@ -26,6 +26,7 @@ PARTS = (
     "keyframes",
     "ranking",
     "annotating",
+    "recognising",
     "tracking",
     "depth",
     "depth_frame",
