@@ -127,6 +127,8 @@ def _better_threshold(prepared: Prepared, found: Row | None) -> str | None:
 def _without_effect(prepared: Prepared, asked: EditRequest) -> list[str]:
     """Return a remark on edits that the method of the pipeline ignores."""
     method = prepared.use.params.annotation_method
+    if method.needs.templates == "none":
+        return [f"the method {method.name} labels by examples, so that an edit of a template changes no label"]
     weights = sorted(name for name, weight in asked.weights.items() if weight not in (0, 1))
     if method.offers.feature_weights or not weights:
         return []

@@ -52,7 +52,7 @@ class LearnRequest(RequestBody):
     """The settings of a run that learns again; defaults are the settings of the current annotation."""
 
     examples: Literal["labels", "clips and labels"] | None = None
-    method: Literal["best", "thesis"] | None = None
+    method: Literal["best", "numeric", "thesis"] | None = None
     where: Annotated[str, Field(max_length=10_000)] | None = None
 
 
@@ -116,7 +116,7 @@ def learning_stages(store: Store, asked: LearnRequest) -> Row:
     # few labels do not represent an archive, so each of them, rejected ones too, counts as an example of its own
     method = annotation_method(annotate.get("method", "thesis"))
     annotate["each_example"] = CLIPS not in templates["examples"] and bool(method.offers.each_example)
-    if annotate["each_example"]:
+    if annotate["each_example"] or method.needs.templates == "none":
         annotate["store_curves"] = False  # the curves are of averaged templates, which are not used then
     return {"learn_templates": {"params": templates}, **stages, "annotate": {"params": annotate}}
 

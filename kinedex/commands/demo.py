@@ -117,7 +117,7 @@ def run_demo(demo: Demo, data: Path | None, method: str = "thesis") -> Outcome:
     data : Path or None
         Archive of the user; None for a synthetic archive.
     method : str
-        Method of the stage `annotate`: thesis or best.
+        Method of the stage `annotate`: thesis, best or numeric.
 
     Raises
     ------

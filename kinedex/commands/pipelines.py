@@ -121,7 +121,7 @@ def demo(
             show_default="30; 3 with --tracking, --depth or --inertial",
         ),
     ] = None,
-    method: Annotated[str, typer.Option(help="Method of annotation: thesis or best.")] = "thesis",
+    method: Annotated[str, typer.Option(help="Method of annotation: thesis, best or numeric.")] = "thesis",
     tracking: Annotated[
         bool, typer.Option("--tracking", help="Film takes by simulated cameras, track and stabilise them.")
     ] = False,

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import warnings
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -17,14 +17,15 @@ from kinedex.library.query import Query, resolved_queries
 from kinedex.library.store import Store
 from kinedex.library.take import Take
 from kinedex.library.template import Template
+from kinedex.ops.arrays import F64
 from kinedex.ops.errors import KinedexError
 from kinedex.ops.wording import counted
-from kinedex.ops.words import ALL_KNOWN, TakeWords
+from kinedex.ops.words import ALL_KNOWN, NO_WORD, TakeWords
 from kinedex.pipelines.annotation.annotation_tables import annotations_table
 from kinedex.pipelines.annotation.annotators import Annotator, make_annotator
 from kinedex.pipelines.annotation.batches import TakeAnnotation, annotate_words, split_takes
 from kinedex.pipelines.annotation.confidence_calibration import uncalibrated
-from kinedex.pipelines.annotation.material import unlabelled_takes
+from kinedex.pipelines.annotation.material import unlabelled_pieces, unlabelled_takes
 from kinedex.pipelines.annotation.methods import LabelledMotion, Material, Motion, Motions, Needs, annotation_method
 from kinedex.pipelines.annotation.parameters import least_frames
 from kinedex.pipelines.evaluation.annotation_scores import evaluate as compare_with_truth
@@ -38,7 +39,7 @@ from kinedex.storage.store.store import data_frame
 @checked
 def annotate(
     takes: Store | Take | Iterable[Take],
-    templates: Template | str | Iterable[Template | str],
+    templates: Template | str | Iterable[Template | str] | Mapping[str, Iterable[Take]],
     method: str = "best",
     *,
     classes: str | Path = OWN,
@@ -54,12 +55,13 @@ def annotate(
     ----------
     takes : Store, Take, or iterable of Take
         The takes to annotate; of a store, those that `where` selects.
-    templates : Template, str, or an iterable of them
+    templates : Template, str, an iterable of them, or mapping of str to iterable of Take
         One template for each class (subclass); a text is the name of a template that pipelines of the store have
-        learned.
+        learned. Or a dict from class to its examples: whole takes, or intervals such as ``take[30:90]``.
     method : str
         "best" finds the best sequence of templates and background for all frames of a take; "thesis" labels the
-        frames where a template has a distance below tau; or the name of a plugin's method.
+        frames where a template has a distance below tau; "numeric" compares joint positions with those of the
+        examples, or of the clips that the templates were learned from; or the name of a plugin's method.
     classes : str or Path, optional
         "own" makes every template a separate class; otherwise the shipped name or the path of a class file.
     delta : float, optional
@@ -101,18 +103,31 @@ def annotate(
     ['take', 'class', 'start']
     """
     chosen_method = annotation_method(method)
-    given = _templates_of(takes, templates)
     chosen = _StoredWords(takes, where) if isinstance(takes, Store) else _LoadedWords(takes)
-    _check_features(chosen.feature_set.digest, given)
-    unlabelled = Motions(partial(chosen.unlabelled, chosen_method.needs))
-    material = Material(Motions(partial(_examples_of, given)), unlabelled, chosen.rate_hz)
+    needs, wanted = chosen_method.needs, resolved_queries(queries, chosen.feature_set, chosen.rate_hz)
+    if isinstance(templates, Mapping):
+        shown = {name: list(own) for name, own in templates.items()}
+        learned = wanted or needs.templates != "none"
+        given = [Template.learn(own, name) for name, own in shown.items()] if learned else []
+        every = [(name, take) for name, own in shown.items() for take in own]
+        _check_features(chosen.feature_set.digest, [(f"an example of '{name}'", take) for name, take in every])
+    else:
+        given = _templates_of(takes, templates)
+        _check_features(chosen.feature_set.digest, [(f"template '{one.name}'", one) for one in given])
+        shown = {one.name: [] for one in given}
+        every = None
+    material = Material(
+        Motions(lambda: [_example(name, take, needs) for name, take in every or _clips_of(given)]),
+        Motions(partial(chosen.unlabelled, needs)),
+        chosen.rate_hz,
+    )
     annotator = make_annotator(
         chosen.feature_set,
         [one.learned for one in given],
-        load_classes(classes, {one.name for one in given} | (set() if classes == OWN else chosen.labels)),
+        load_classes(classes, set(shown) | (set() if classes == OWN else chosen.labels)),
         delta,
         tau,
-        resolved_queries(queries, chosen.feature_set, chosen.rate_hz),
+        wanted,
         method=chosen_method,
         clips=material,
     )
@@ -159,15 +174,22 @@ class _LoadedWords:
     def annotate(self, annotator: Annotator) -> Iterator[TakeAnnotation]:
         """Annotate the takes batch by batch."""
         for batch in split_takes(self.names, map(len, self.takes)):
-            yield from annotate_words(annotator, self.words(batch))
+            positions = None
+            if annotator.method.needs.positions:
+                positions = [_positions(self.takes[place]) for place in batch]
+            yield from annotate_words(annotator, self.words(batch), positions=positions)
 
     def known(self) -> dict[int, int]:
         """Return a dict from index to mask of known features, for the takes that lack features."""
         return {place: take.known for place, take in enumerate(self.takes) if take.known != ALL_KNOWN}
 
-    def unlabelled(self, _needs: Needs) -> list[Motion]:
-        """Return the takes as motions."""
-        return [Motion(words=take.words(), known=take.known) for take in self.takes]
+    def unlabelled(self, needs: Needs) -> list[Motion]:
+        """Return the takes as motions; of positions, a bounded number of frames."""
+        if not needs.positions:
+            return [Motion(words=take.words(), known=take.known) for take in self.takes]
+        pieces = unlabelled_pieces(list(self.names), {place: len(take) for place, take in enumerate(self.takes)})
+        parts = [self.takes[place][start:stop] for place, start, stop in pieces]
+        return [Motion(words=one.words(), positions=_positions(one), known=one.known) for one in parts]
 
 
 class _StoredWords:
@@ -217,16 +239,31 @@ def _templates_of(takes: object, templates: Template | str | Iterable[Template |
     return given
 
 
-def _check_features(digest: str, templates: Sequence[Template]) -> None:
-    for one in templates:
+def _check_features(digest: str, found: Iterable[tuple[str, Template | Take]]) -> None:
+    for name, one in found:
         if one.feature_set.digest != digest:
-            raise KinedexError(f"template '{one.name}' has other features ({one.feature_set.name}) than the takes")
+            raise KinedexError(f"{name} has other features ({one.feature_set.name}) than the takes")
 
 
-def _examples_of(templates: Sequence[Template]) -> list[LabelledMotion]:
-    """Return the clips of templates, each clip once."""
-    found = {name: (one.name, words) for one in templates for name, words in one.examples().items()}
-    return [LabelledMotion(words=words, label=label) for label, words in found.values()]
+def _clips_of(templates: Sequence[Template]) -> list[tuple[str, Take]]:
+    """Return the clips of templates with their classes, each clip once."""
+    return list({name: (one.name, take) for one in templates for name, take in one.examples().items()}.values())
+
+
+def _example(label: str, take: Take, needs: Needs) -> LabelledMotion:
+    """Return a take or an interval as an example, without invalid frames at its ends."""
+    words = take.words()
+    valid = np.flatnonzero(words != NO_WORD)
+    first, last = (int(valid[0]), int(valid[-1]) + 1) if len(valid) else (0, 0)
+    start = take.interval[0] if take.interval else 0
+    made = LabelledMotion(
+        label=label, take=take.name, start=start + first, stop=start + last, words=words[first:last], known=take.known
+    )
+    return replace(made, positions=_positions(take)[first:last]) if needs.positions else made
+
+
+def _positions(take: Take) -> F64:
+    return take.positions.astype(np.float64)
 
 
 def _table(found: Iterable[TakeAnnotation], annotator: Annotator, chosen: _LoadedWords | _StoredWords) -> pl.DataFrame:

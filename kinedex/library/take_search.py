@@ -9,7 +9,6 @@ from typing import TYPE_CHECKING, Literal
 
 from kinedex.library.take import Take
 from kinedex.library.take_collection import TakeCollection
-from kinedex.ops.arrays import U64
 from kinedex.ops.errors import ParameterError
 from kinedex.storage.store.store import data_frame
 
@@ -185,12 +184,12 @@ class TakeSearch(TakeCollection):
         learned = choose_template(self.stored, name, kind, stage)
         return Template(learned, self.feature_set, self.rate_hz, lambda: self._clips(learned.clips))
 
-    def _clips(self, names: Sequence[str]) -> Mapping[str, U64]:
-        """Return a dict from name to words for clips that still exist in the store, as takes or intervals of takes."""
+    def _clips(self, names: Sequence[str]) -> Mapping[str, Take]:
+        """Return a dict from name to take for clips that still exist in the store, as takes or intervals of takes."""
         from kinedex.pipelines.templates.examples import interval_of
 
-        positions = {name: interval_of(name, self._rows) for name in names}
-        return {name: self.words(take)[frames] for name, (take, frames) in positions.items() if take in self._rows}
+        places = {name: interval_of(name, self._rows) for name in names}
+        return {name: self[take][frames] for name, (take, frames) in places.items() if take in self._rows}
 
     def rank(
         self,

@@ -16,7 +16,7 @@ from kinedex.ops.errors import KinedexError, did_you_mean
 from kinedex.ops.intervals import in_seconds
 from kinedex.ops.templates.derived_templates import Contrast, contrast
 from kinedex.ops.templates.templates import Kind, NamedTemplate
-from kinedex.ops.words import ALL_KNOWN, U64
+from kinedex.ops.words import ALL_KNOWN
 from kinedex.pipelines.templates.template_learning import (
     SubclassTemplate,
     as_subclass_template,
@@ -32,10 +32,10 @@ if TYPE_CHECKING:
     from kinedex.reports.matrix_pictures import MatrixPicture
 
 
-Examples = Callable[[], Mapping[str, U64]]
+Examples = Callable[[], Mapping[str, Take]]
 
 
-def _no_examples() -> dict[str, U64]:
+def _no_examples() -> dict[str, Take]:
     return {}
 
 
@@ -146,7 +146,12 @@ class Template:
         training = usable_clips(called, words, known, actors)
         counts = feature_weights(weights or {}, features)
         found = learned_template(training, kind, learn_template(training, kind, len(features.features), counts))
-        return cls(found, features, every[0].rate_hz, lambda: words)
+        return cls(
+            found,
+            features,
+            every[0].rate_hz,
+            lambda: {take.label: take for take in sorted(every, key=lambda take: take.label)},
+        )
 
     @classmethod
     def from_clip(
@@ -184,7 +189,7 @@ class Template:
         first, last = frame_range(take.name, len(take), take.rate_hz, start, stop)
         features = len(take.feature_set.features)
         made = template_of_frames(take.words(), take.name, first, last, features, name or take.name, take.known)
-        example = {take[first:last].label: take.words()[first:last]}
+        example = {take[first:last].label: take[first:last]}
         return cls(as_subclass_template(made, origin=made.description), take.feature_set, take.rate_hz, lambda: example)
 
     @classmethod

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property, partial
 from typing import NamedTuple
@@ -137,11 +137,21 @@ class Annotator:
         `known` has the masks of these takes by take_id.
         """
         if known and not hasattr(self.method, "restricted"):
+            what, which = "features", "joints"
+            if self.method.needs.positions:
+                what, which = "joints", name_list(self._lacking(known.values()))
             return [
-                f"the method '{self.method.name}' needs all features: {counted(len(known), 'take')} whose bodies lack "
-                "joints have no annotation"
+                f"the method '{self.method.name}' needs all {what}: {counted(len(known), 'take')} whose bodies lack "
+                f"{which} have no annotation"
             ]
         return remarks_on(self.partly_known(known), known)
+
+    def _lacking(self, masks: Iterable[int]) -> list[str]:
+        """Return the joints whose features are all unknown in some take."""
+        joints, every = self.feature_set.joints, self.feature_set.every_bit
+        unknown = {joint: every & ~self.feature_set.known([joint]) for joint in joints}
+        different = set(masks)
+        return [joint for joint in joints if any(unknown[joint] and not unknown[joint] & mask for mask in different)]
 
     @property
     def label(self) -> str:
@@ -211,6 +221,7 @@ def make_annotator(
         feature_weights=material.feature_weights,
         mirror=material.mirror,
     )
+    fitted = method.fit(material.examples, material.unlabelled, setting)
     return Annotator(
         feature_set,
         classes.names,
@@ -218,8 +229,8 @@ def make_annotator(
         setting.class_index,
         outline.quantised,
         outline.queries,
-        method.fit(material.examples, material.unlabelled, setting),
-        remarks=outline.remarks,
+        fitted,
+        remarks=(*outline.remarks, *fitted.remarks),
     )
 
 

@@ -280,12 +280,15 @@ class AnnotationMethod(Protocol):
         What it reads.
     offers : Offers
         What else it can do.
+    remarks : tuple of str
+        Remarks on what it was fitted with, which are shown to the user.
     """
 
     name: ClassVar[str]
     label: ClassVar[str]
     needs: ClassVar[Needs]
     offers: ClassVar[Offers] = Offers()
+    remarks: tuple[str, ...] = ()
 
     @classmethod
     def fit(cls, examples: Motions[LabelledMotion], unlabelled: Motions[Motion], setting: Setting) -> Self:
@@ -349,6 +352,7 @@ METHODS: Plugins[type[AnnotationMethod]] = Plugins(
     {
         "thesis": "kinedex.pipelines.annotation.template_methods:ThesisMethod",
         "best": "kinedex.pipelines.annotation.template_methods:BestMethod",
+        "numeric": "kinedex.pipelines.annotation.numeric_method:NumericMethod",
     },
 )
 """All methods by name, both built-in ones and those of plugins."""

@@ -40,7 +40,7 @@ class MethodParameters(BaseModel):
         description="thesis: where templates fit below tau, frames get the label of the nearest class, and its runs "
         "grow to either side as long as the class does not fit worse there (labels may overlap); best: the templates "
         "in a row, with background between them, that explain all frames of a take best together (tau does not matter "
-        "then)",
+        "then); numeric: joint positions compared with those of the examples, without templates and thresholds",
     )
     templates: Kind = Field("soft", description="which of the learned templates: soft or hard")
     delta: float = Field(

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import hashlib
 import json
-import re
 from collections import Counter, defaultdict
-from collections.abc import Collection, Iterable, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 
+from kinedex.catalog.mirrored_classes import mirrored_class
 from kinedex.ops.errors import KinedexError, did_you_mean
 from kinedex.ops.evaluation.group_split import split_groups
 from kinedex.ops.intervals import in_seconds, nearest_frame, shown_seconds
@@ -18,9 +18,6 @@ from kinedex.pipelines.export.selected_intervals import SelectedInterval
 from kinedex.storage.formats.data_set_folder import CLIPS
 from kinedex.storage.formats.labels.formats import file_names
 from kinedex.storage.store.store import Store
-
-_SIDES = {"left": "right", "right": "left", "l": "r", "r": "l"}
-_WORD = re.compile(r"[A-Z]+(?![a-z])|[A-Z]?[a-z]+")
 
 
 @dataclass(frozen=True)
@@ -117,37 +114,6 @@ def with_mirrored_copies(clips: Sequence[Clip], known: Iterable[str] = ()) -> li
         for clip in clips
         for one in (clip, replace(clip, mirrored=True, label=None if clip.label is None else images[clip.label]))
     ]
-
-
-def mirrored_class(name: str, known: Collection[str] = ()) -> str:
-    """Return the class of a mirrored motion: left and right, and L and R, are exchanged in its name.
-
-    Words end at capital letters and at all characters other than letters: "kickLFront1Reps" becomes "kickRFront1Reps",
-    and "wave-left-hand" becomes "wave-right-hand". A lower-case l or r counts if it stands alone. A word that begins
-    with L or R, as in "startLelbow", is exchanged only if "startRelbow" is an existing class.
-
-    Parameters
-    ----------
-    name : str
-        The class.
-    known : collection of str
-        The existing classes.
-    """
-
-    def exchanged(match: re.Match[str]) -> str:
-        word, text = match[0], match.string
-        other = _SIDES.get(word.lower())
-        alone = not text[: match.start()][-1:].isalnum() and not text[match.end() :][:1].isalnum()
-        if other is None or (word in ("l", "r") and not alone):
-            return word
-        return other.upper() if word.isupper() else other.capitalize() if word[0].isupper() else other
-
-    # L or R before a capitalised word counts as a separate word, as in LFront
-    image = _WORD.sub(exchanged, re.sub(r"(?<![A-Z])([LR])(?=[A-Z][a-z])", "\\1\0", name)).replace("\0", "")
-    if image == name:
-        other = re.sub(r"(?<![A-Z])[LR](?=[a-z])", lambda match: _SIDES[match[0].lower()].upper(), name)
-        return other if other in known else name
-    return image
 
 
 def with_names(clips: Sequence[Clip], whole: bool) -> list[Clip]:

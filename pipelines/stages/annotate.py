@@ -93,9 +93,10 @@ class Annotate(Stage[AnnotationParameters]):
             writer.forget_stage(context.key())
             writer.commit()
         share = _share_searched(done.searched, takes)
+        matched = "labels could be" if annotator.method.needs.templates == "none" else "templates were matched"
         context.message(
             f"{counted(done.segments, 'segment')} in {counted(takes.height, 'take')}"
-            + (f"; templates were matched in {share:.1%} of the frames" if any(annotator.queries) else "")
+            + (f"; {matched} in {share:.1%} of the frames" if any(annotator.queries) else "")
             + (
                 f"; {counted(done.kept, 'take')} kept as they were, {takes.height - done.kept} annotated"
                 if done.kept
@@ -228,7 +229,8 @@ def _report_exclusions(
         context.message(f"in no class and not annotated: {name_list(classes.without_class)}")
     empty = [one.name for one in classes.classes if not set(one.subclasses) & set(annotator.subclasses)]
     if empty:
-        context.message(f"classes without a template, which nothing can be labelled with: {name_list(empty)}")
+        what = "an example" if annotator.method.needs.templates == "none" else "a template"
+        context.message(f"classes without {what}, which nothing can be labelled with: {name_list(empty)}")
     unknown = sorted({*unknown_targets(queries, classes), *unknown_targets(learned, classes)})
     if unknown:
         context.message(f"keyframe queries for other classes, excluded: {name_list(unknown)}")

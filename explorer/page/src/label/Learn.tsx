@@ -144,7 +144,7 @@ function Begin({ learn, busy, labels }: { learn: LearnFacts; busy: boolean; labe
           allowDeselect={false}
           value={settings.method ?? learn.method}
           onChange={(method) => set({ ...settings, method })}
-          data={["best", "thesis"]}
+          data={["best", "numeric", "thesis"]}
         />
         <TextInput
           size="xs"
