@@ -70,9 +70,16 @@ def _poses(template: F64, positions: F64) -> Poses:
     middle, middles = template.mean(axis=0), positions.mean(axis=0)
     products = np.einsum("ni,njt->tji", template - middle, positions - middles)
     left, _, right = np.linalg.svd(products)
-    left[:, :, 2] *= np.sign(np.linalg.det(left) * np.linalg.det(right))[:, None]
+    left[:, :, 2] *= (_handedness(left) * _handedness(right))[:, None]
     rotations = left @ right
     return Poses(rotations, middles.T - rotations @ middle)
+
+
+def _handedness(turns: F64) -> F64:
+    """Return 1 for each rotation of (T, 3, 3) orthogonal matrices, and -1 for each reflection."""
+    (a, b, c), (d, e, f), (g, h, i) = turns.transpose(1, 2, 0)
+    signs: F64 = np.sign(a * (e * i - f * h) + b * (f * g - d * i) + c * (d * h - e * g))
+    return signs
 
 
 def is_spread(template: F64) -> bool:
@@ -124,11 +131,15 @@ def placed_by_segment(positions: F64, hidden: int, wanted: Bool, tolerance: floa
     own = seen[hidden].copy()
     seen[hidden] = False
     spread = _distance_spread(positions, hidden)
-    patterns, which, counts = np.unique(seen[:, wanted], axis=1, return_inverse=True, return_counts=True)
+    packed = np.packbits(seen[:, wanted], axis=0)
+    shown = np.ascontiguousarray(packed.T).view(f"S{len(packed)}")[:, 0]  # bytes sort as the columns do
+    _, firsts, which, counts = np.unique(shown, return_index=True, return_inverse=True, return_counts=True)
     frames = np.flatnonzero(wanted)
+    made: dict[tuple[int, ...], _Template | None] = {}
     for k in np.argsort(-counts, kind="stable")[:_MOST_PATTERNS]:
-        there = np.flatnonzero(patterns[:, k] & (spread <= tolerance))
-        best = _good_template(positions, hidden, own, there[np.argsort(spread[there], kind="stable")], tolerance)
+        there = np.flatnonzero(seen[:, frames[firsts[k]]] & (spread <= tolerance))
+        there = there[np.argsort(spread[there], kind="stable")]
+        best = _good_template(positions, hidden, own, there, tolerance, made)
         if best is not None:
             at = frames[which.reshape(-1) == k]
             placed[:, at] = _between_ends(positions, hidden, own, best, at)
@@ -137,12 +148,11 @@ def placed_by_segment(positions: F64, hidden: int, wanted: Bool, tolerance: floa
 
 
 class _Template(NamedTuple):
-    """Markers, their places in the axes of the segment, the place of the hidden one, and its error in other frames."""
+    """Markers, their places in the segment, and whether the hidden one stays at its place there in other frames."""
 
     markers: I64
     shape: F64
-    place: F64
-    error: float
+    good: bool
 
 
 def _distance_spread(positions: F64, hidden: int) -> F64:
@@ -155,16 +165,24 @@ def _distance_spread(positions: F64, hidden: int) -> F64:
     return np.where(counts > 0, np.sqrt(squares / np.maximum(counts, 1)), np.inf)
 
 
-def _good_template(positions: F64, hidden: int, own: Bool, there: I64, tolerance: float) -> _Template | None:
-    """Return the template of all given markers or, if its error is too large, of the first few; None if none fits."""
+def _good_template(
+    positions: F64, hidden: int, own: Bool, there: I64, tolerance: float, made: dict[tuple[int, ...], _Template | None]
+) -> _Template | None:
+    """Return the template of all markers that are seen, else of the steadiest ones, that is good.
+
+    Templates are kept in `made` by their markers, as sets of markers that are seen share the steadiest ones.
+    """
     for count in dict.fromkeys((len(there), *(n for n in _NEAREST if n < len(there)))):
-        made = _template(positions, hidden, own, there[:count]) if count >= MIN_MARKERS else None
-        if made is not None and made.error <= tolerance:
-            return made
+        markers = tuple(there[:count].tolist())
+        if count >= MIN_MARKERS and markers not in made:
+            made[markers] = _template(positions, hidden, own, there[:count], tolerance)
+        found = made.get(markers)
+        if found is not None and found.good:
+            return found
     return None
 
 
-def _template(positions: F64, hidden: int, own: Bool, markers: I64) -> _Template | None:
+def _template(positions: F64, hidden: int, own: Bool, markers: I64, tolerance: float) -> _Template | None:
     frames = np.flatnonzero(own & np.isfinite(positions[markers]).all(axis=(0, 1)))
     if len(frames) < _FEW_FRAMES:
         return None
@@ -176,8 +194,10 @@ def _template(positions: F64, hidden: int, own: Bool, markers: I64) -> _Template
     except ParameterError:  # they lie on a line
         return None
     first = inside[:, ::2].mean(axis=1)
-    error = float(np.percentile(np.linalg.norm(inside[:, 1::2] - first[:, None], axis=0), 90))
-    return _Template(markers, shape, inside.mean(axis=1), error)
+    away = np.linalg.norm(inside[:, 1::2] - first[:, None], axis=0)
+    far = np.count_nonzero(away > tolerance)
+    good = bool(not far or (far < 0.1 * len(away) + 1 and np.percentile(away, 90) <= tolerance))
+    return _Template(markers, shape, good)
 
 
 def _between_ends(positions: F64, hidden: int, own: Bool, template: _Template, frames: I64) -> F64:

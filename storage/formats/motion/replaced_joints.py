@@ -63,8 +63,8 @@ def replaced_joints(points: F64, fit: Fit, positions: F64, joints: tuple[str, ..
         frames, far, hidden = 0, 0.0, np.count_nonzero(lost)
         for other in others:
             there = lost & ~np.isnan(_other_points(points, fit, positions, joints, other)).any(axis=(0, 1))
-            away = _moved(points, fit, positions, joints, joint, other, seen, unit_m)
-            if there.any() and away > _BESIDE_M:
+            away = _moved(points, fit, positions, joints, joint, other, seen, unit_m) if there.any() else 0.0
+            if away > _BESIDE_M:
                 frames, far = frames + int(np.count_nonzero(there)), max(far, away)
             lost &= ~there
         replaced = hidden - np.count_nonzero(lost)
