@@ -21,6 +21,9 @@ Row = Mapping[str, Any]
 
 FILES, SHARE = 4, 0.75
 
+MARKERS = ("c3d", "trc", "csv", "tsv")
+"""The formats of markers, which have static trials in place of skeleton files."""
+
 SESSION = "unlike the files beside it: "
 """The beginning of warnings on takes that contradict their session."""
 
@@ -55,9 +58,10 @@ _LIMBS = {"thigh": "thighs", "shank": "shanks", "upper_arm": "upper arms", "fore
 
 
 def session_of(row: Row) -> tuple[object, ...]:
-    """Return the session of a take: its folder, format, skeleton file and person."""
+    """Return the session of a take: its folder, format, skeleton file and person; static trials belong to theirs."""
     folder = os.path.dirname(row["source"])
-    return row["source_root"], folder, row["format"], row.get("skeleton_source"), row.get("person")
+    skeleton = row.get("skeleton_source") if row["format"] not in MARKERS else None
+    return row["source_root"], folder, row["format"], skeleton, row.get("person")
 
 
 def with_session_warnings(rows: Sequence[Row]) -> list[dict[str, Any]]:

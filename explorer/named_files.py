@@ -142,8 +142,8 @@ def _mappings(store: Store, params: IngestParameters, own: OwnFile | None = None
 
 
 def _skeleton(file: _File) -> Path | None:
-    """Return the ASF file that the settings of a source assign to an AMC file; None if they assign none."""
-    if not file.params.skeleton_files or file.path.suffix.lower() != ".amc":
+    """Return the ASF or the static trial that the settings of a source give a file; None if its name tells."""
+    if not file.params.skeleton_files:
         return None
     found = scan(file.params.source)
     motion = next((one for one in found.motions if one.absolute == file.path), None)

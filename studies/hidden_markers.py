@@ -5,6 +5,10 @@ in which it was seen. One line for each file compares its true place with that b
 straight line across the gap (mean and the largest of 95 % of the frames, cm; over the markers that a segment places),
 and then the joint that is farthest from its place in the mean over the gap, with and without segments, and the share of
 frames that are invalid.
+
+The second table removes each marker from all but the first frames of a recording, which serve as its static trial:
+where the marker is placed by the shape of its segment there, and the joint that is farthest from its place in the mean,
+read without the static trial and with it.
 """
 
 from __future__ import annotations
@@ -24,12 +28,15 @@ from kinedex.ops.arrays import F64, Bool
 from kinedex.ops.body.resample import fill_gaps
 from kinedex.ops.errors import KinedexError
 from kinedex.storage.formats.motion.hidden_markers import close_gaps
-from kinedex.storage.formats.motion.points import Points, body_of_points, evidence_of
+from kinedex.storage.formats.motion.points import Points, body_of_points, completed, evidence_of
 from kinedex.storage.formats.motion.reader import DEFAULT_SETTINGS, Body
 from studies.marker_accuracy import JOINTS, computed, recordings, without
 
 BY_LABELS = Mappings({"c3d": ()})
 """Mappings that recognise each body by its labels."""
+
+STATIC_FRAMES = 10
+"""Frames of a recording that serve as its static trial, a quarter of it at most."""
 
 MOST_FRAMES = 1200
 """Frames of a recording, from its beginning; a hidden stretch begins after a third."""
@@ -79,6 +86,48 @@ def trials(path: Path, points: Points) -> Iterator[Trial]:
         yield Trial(by_segment[there], by_line[there], (ways[0][0], ways[1][0]), (ways[0][1], ways[1][1]))
 
 
+@dataclass(frozen=True)
+class RemovedMarker:
+    """A marker that is removed from a motion and that its static trial has.
+
+    Attributes
+    ----------
+    landmark : str
+        Its landmark.
+    away : float64 array
+        The distances in cm from its true place, in the frames in which it is placed.
+    joints : (float, float)
+        The mean distance in cm of the worst joint from its place, without and with the static trial; NaN where the file
+        is refused.
+    """
+
+    landmark: str
+    away: F64
+    joints: tuple[float, float]
+
+
+def removed_markers(path: Path, points: Points) -> Iterator[RemovedMarker]:
+    """Yield a result for each landmark's marker that is seen throughout the first frames, the static trial."""
+    seen = points.seen()
+    cut = replace(seen, positions=seen.positions[:, :, :MOST_FRAMES])
+    first = max(1, min(STATIC_FRAMES, cut.positions.shape[2] // 4))
+    trial, motion = (replace(cut, positions=cut.positions[:, :, part]) for part in (slice(first), slice(first, None)))
+    whole = _body(path, motion, segments=True)
+    unit_m = float(whole.unit.split()[0])
+    for landmark, labels in load_landmarks().read(cut.names).labels.items():
+        marker = cut.indices()[labels[0]]
+        if not np.isfinite(trial.positions[marker]).all():
+            continue
+        lacking = without(motion, labels[:1])
+        with_trial = completed(lacking, Path("static"), lambda _: trial)
+        joints = [_compared(path, one, whole, slice(None), segments=True)[0] for one in (lacking, with_trial)]
+        away = np.empty(0)
+        if labels[0] in with_trial.names:
+            track = with_trial.positions[with_trial.indices()[labels[0]]]
+            away = 100 * unit_m * np.linalg.norm(track - motion.positions[marker], axis=0)
+        yield RemovedMarker(landmark, away[np.isfinite(away)], (joints[0], joints[1]))
+
+
 def _tracks(hidden: Points, marker: int) -> tuple[F64, F64]:
     """Return a hidden marker by the pose of its segment, NaN where it has none, and by a straight line."""
     positions = hidden.positions.copy()
@@ -112,15 +161,12 @@ def _invalid(body: Body) -> Bool:
     return np.zeros(body.frames, np.bool_) if body.valid is None else ~body.valid
 
 
-def main() -> None:
-    """Print the table."""
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("data", type=Path)
+def _hidden_table(data: Path) -> Table:
     table = Table(
         "file", "markers", "placed", "by segment", "95 %", "by line", "95 %", "worst joint before", "now",
-        "invalid before, %", "now",
+        "invalid before, %", "now", title="Hidden for a second",
     )  # fmt: skip
-    for path, points in recordings(parser.parse_args().data):
+    for path, points in recordings(data):
         try:
             found = list(trials(path, without(points, computed(points))))
         except KinedexError:
@@ -135,7 +181,37 @@ def main() -> None:
         table.add_row(
             path.name, str(len(found)), str(placed), *figures, *(f"{mean:.1f}" for mean in (*joints, *invalid))
         )
-    Console(width=160).print(table)
+    return table
+
+
+def _removed_table(data: Path) -> Table:
+    table = Table(
+        "file", "markers", "markers", "placed", "mean", "95 %", "worst joint without", "with the static trial",
+        title="Removed from the motion, held by the static trial",
+    )  # fmt: skip
+    for path, points in recordings(data):
+        try:
+            found = list(removed_markers(path, without(points, computed(points))))
+        except KinedexError:
+            continue
+        inner = [one for one in found if one.landmark.endswith("med")]
+        for kind, those in (("all", found), ("inner", inner)):
+            placed = [one for one in those if len(one.away)]
+            if placed:
+                away = np.concatenate([one.away for one in placed])
+                joints = np.nanmean([one.joints for one in placed], axis=0)
+                figures = [f"{figure:.2f}" for figure in (away.mean(), np.percentile(away, 95), *joints)]
+                table.add_row(path.name, kind, str(len(those)), str(len(placed)), *figures)
+    return table
+
+
+def main() -> None:
+    """Print the tables."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("data", type=Path)
+    data, console = parser.parse_args().data, Console(width=160)
+    console.print(_hidden_table(data))
+    console.print(_removed_table(data))
 
 
 if __name__ == "__main__":

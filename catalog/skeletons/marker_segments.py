@@ -33,6 +33,17 @@ SEGMENTS: dict[str, tuple[str, ...]] = {
 """The landmarks of each segment; those at a joint move with both of its segments."""
 
 
+_TRUNK = tuple(landmark for landmark in _THORAX if not landmark.endswith("acromion"))
+
+RIGID_SEGMENTS: dict[str, tuple[str, ...]] = {
+    **SEGMENTS,
+    "thorax": _TRUNK,
+    **{f"{side} shoulder": (*_TRUNK, f"{side[0]}acromion") for side in ("left", "right")},
+    **{f"{side} upper arm": (f"{side[0]}elbowlat", f"{side[0]}elbowmed") for side in ("left", "right")},
+}
+"""The same where nothing shows whether a marker keeps its place: shoulders move against each other and against arms."""
+
+
 def marker_segments(labels: Sequence[str]) -> dict[str, list[int]]:
     """Return the indices of the labels of each segment that has four markers or more, by its name.
 

@@ -85,7 +85,7 @@ source_bytes    BIGINT    size of the source file
 source_mtime_ns    BIGINT    time of the last change of the source file, in nanoseconds since 1970
 format    VARCHAR    format of the source file: amc, bvh, c3d, …
 skeleton    VARCHAR    name of the mapping from the nodes of the file to the 24 joints
-skeleton_source    VARCHAR    the skeleton file of the source file, if it has one
+skeleton_source    VARCHAR    the skeleton file of the source file, or its static trial, if it has one
 recipe    VARCHAR    hash of everything, except the file, that the frames of the take depend on
 unit    VARCHAR    unit of length in the file
 source_rate_hz    DOUBLE    frames per second in the file

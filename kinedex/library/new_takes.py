@@ -77,21 +77,22 @@ def read(
     from kinedex.storage.formats.motion.packed_files import split_ending
     from kinedex.storage.formats.motion.reader import ReadSettings
     from kinedex.storage.formats.motion.reader_table import read_body
-    from kinedex.storage.formats.motion.single_file import chosen_person, motion_ending, skeleton_beside
+    from kinedex.storage.formats.motion.single_file import chosen_person, file_beside, motion_ending
     from kinedex.storage.formats.motion.unpacked_files import unpacked
 
     file = Path(path).expanduser()
     if rate is not None:
         check_rate(rate)
-    asf = skeleton_beside(file) if motion_ending(file) == ".amc" else None
+    motion_ending(file)
+    beside = file_beside(file)
     features = load_feature_set(feature_set)
     mappings = load_mappings("auto" if mapping is None else str(mapping), features.joints)
-    person = chosen_person(file, asf, mappings, person)
-    with unpacked(file, asf) as copy:
+    person = chosen_person(file, beside, mappings, person)
+    with unpacked(file, beside) as copy:
         settings = ReadSettings(override_rate_hz=rate)
         body = read_body(copy.path, copy.skeleton, mappings, features.joints, settings, person=person)
     stem, ending = split_ending(file.name)
-    about = {"source": str(file), "format": ending[1:].lower(), "skeleton_source": asf and str(asf)}
+    about = {"source": str(file), "format": ending[1:].lower(), "skeleton_source": beside and str(beside)}
     return take_of_body(person_name(stem, person), copy.restated_body(body), features, about)
 
 

@@ -21,6 +21,7 @@ _MOST_FRAMES = 64  # frames that a template is made of, spread evenly
 _FEW_FRAMES = 8  # least frames in which all markers are seen
 _MOST_PATTERNS = 12  # sets of markers that are seen together, the most frequent ones first
 _FARTHEST = 1e100  # coordinates whose products are finite
+_LEAST = 0.25  # share of the tolerance: errors of markers on the skin, even if fewer show
 _NEAREST = (4, 3)  # further numbers of markers that are tried, those whose distance to the hidden one varies least
 
 
@@ -147,6 +148,105 @@ def placed_by_segment(positions: F64, hidden: int, wanted: Bool, tolerance: floa
     return Placed(placed, used)
 
 
+class PlacedByShape(NamedTuple):
+    """A hidden marker as the shape of its segment in a static trial places it.
+
+    Attributes
+    ----------
+    positions : float64 array (3, T)
+        NaN in frames in which it is not placed.
+    markers : int64 array (T,)
+        The number of markers that the pose was fitted to; 0 where it is not placed.
+    errors : float64 array (T,)
+        The error to be expected, in the unit of the positions; infinite where it is not placed.
+    """
+
+    positions: F64
+    markers: I64
+    errors: F64
+
+
+def placed_by_shape(positions: F64, hidden: int, wanted: Bool, shape: F64, tolerance: float) -> PlacedByShape:
+    """Place a hidden marker by the shape that its segment has in a static trial, fitted to the markers that are seen.
+
+    Of the markers that are seen together, the one that is farthest from its place is left out, one after the other,
+    until all are within the tolerance in nine of ten frames. Where the hidden marker appears beside its place at the
+    ends of a gap, the difference goes straight from one end to the other.
+
+    Parameters
+    ----------
+    positions : float64 array (N, 3, T)
+        The markers of a segment; NaN where one is not seen.
+    hidden : int
+        Index of the marker to place.
+    wanted : bool array (T,)
+        The frames in which it is to be placed.
+    shape : float64 array (N, 3)
+        The places of the markers in any axes of the segment; NaN for those that the static trial lacks.
+    tolerance : float
+        The largest distance of a marker from its place in the shape, in the unit of the positions.
+    """
+    frames = positions.shape[2]
+    found = PlacedByShape(np.full((3, frames), np.nan), np.zeros(frames, np.int64), np.full(frames, np.inf))
+    seen: Bool = np.asarray((np.abs(positions) < _FARTHEST).all(axis=1))
+    positions = np.where(seen[:, None], positions, np.nan)
+    own = seen[hidden].copy()
+    seen[hidden] = False
+    seen[~np.isfinite(shape).all(axis=1)] = False
+    if not wanted.any() or not np.isfinite(shape[hidden]).all():
+        return found
+    patterns, which = np.unique(seen[:, wanted], axis=1, return_inverse=True)
+    for k in range(patterns.shape[1]):
+        at = np.flatnonzero(wanted)[which.reshape(-1) == k]
+        best = _shape_template(positions, hidden, shape, np.flatnonzero(patterns[:, k]), at, tolerance)
+        if best is not None:
+            found.positions[:, at] = _between_ends(positions, hidden, own, best, at)
+            found.markers[at], found.errors[at] = len(best.markers), best.error
+    return found
+
+
+def _shape_template(
+    positions: F64, hidden: int, shape: F64, there: I64, frames: I64, tolerance: float
+) -> _Template | None:
+    """Return the template of those markers that keep their places in the shape; None if they are too few."""
+    frames = _some(frames)
+    while len(there) >= MIN_MARKERS and is_spread(shape[there]):
+        places = positions[there][:, :, frames]
+        away = np.linalg.norm(in_segment(_poses(shape[there], places), places) - shape[there][:, :, None], axis=1)
+        errors = np.percentile(away, 90, axis=1)
+        if errors.max() <= tolerance:
+            noise = max(float(errors.max()), _LEAST * tolerance)
+            return _Template(there, shape[there], shape[hidden], noise * leverage(shape[there], shape[hidden]))
+        there = np.delete(there, np.argmax(errors))
+    return None
+
+
+def leverage(template: F64, place: F64) -> float:
+    """Return by how much the error of a place exceeds that of each marker, if the pose is fitted to markers.
+
+    Independent errors of the markers shift the pose, and turn it about each principal axis by as much less as the
+    markers lie farther from this axis.
+
+    Parameters
+    ----------
+    template : float64 array (N, 3)
+        The places of the markers.
+    place : float64 array (3,)
+        The place that the pose determines.
+    """
+    middle = template.mean(axis=0)
+    _, extents, axes = np.linalg.svd(template - middle, full_matrices=False)
+    along = axes @ (place - middle)
+    squares, lengths = along**2, extents**2
+    turns = (squares.sum() - squares) / np.maximum(lengths.sum() - lengths, np.finfo(float).tiny)
+    return float(np.sqrt(1.0 / len(template) + turns.sum() / 3))
+
+
+def _some(frames: I64) -> I64:
+    """Return at most so many frames as a template is made of, spread evenly."""
+    return frames[np.unique(np.linspace(0, len(frames) - 1, min(len(frames), _MOST_FRAMES)).astype(int))]
+
+
 class _Template(NamedTuple):
     """Markers, their places in the segment, and whether the hidden one stays at its place there in other frames."""
 
@@ -186,7 +286,7 @@ def _template(positions: F64, hidden: int, own: Bool, markers: I64, tolerance: f
     frames = np.flatnonzero(own & np.isfinite(positions[markers]).all(axis=(0, 1)))
     if len(frames) < _FEW_FRAMES:
         return None
-    frames = frames[np.unique(np.linspace(0, len(frames) - 1, min(len(frames), _MOST_FRAMES)).astype(int))]
+    frames = _some(frames)
     places = positions[np.append(markers, hidden)][:, :, frames]
     try:
         shape = mean_shape(places[:-1])
@@ -203,6 +303,9 @@ def _template(positions: F64, hidden: int, own: Bool, markers: I64, tolerance: f
 def _between_ends(positions: F64, hidden: int, own: Bool, template: _Template, frames: I64) -> F64:
     """Return the hidden marker (3, n) in frames; its place in the segment is interpolated between the ends of gaps."""
     known = np.flatnonzero(own & np.isfinite(positions[template.markers]).all(axis=(0, 1)))
+    if not len(known):
+        poses = _poses(template.shape, positions[template.markers][:, :, frames])
+        return np.asarray(poses.rotations @ template.place + poses.shifts).T
     after = np.searchsorted(known, frames)
     ends = np.unique(np.concatenate([known[np.maximum(after - 1, 0)], known[np.minimum(after, len(known) - 1)]]))
     poses = _poses(template.shape, positions[template.markers][:, :, ends])

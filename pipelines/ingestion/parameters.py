@@ -37,9 +37,9 @@ class IngestParameters(StageParameters):
     )
     skeleton_files: dict[str, str] = Field(
         default_factory=dict,
-        description="ASF files of AMC files, where the name does not tell: a path below the source, in which * and ? "
-        "stand for any characters, or the name of a file, to the path of its ASF below the source: "
-        '`{"walk_*.amc": "subject7.asf"}`; the first that fits counts',
+        description="ASF files of AMC files, and static trials of files of markers, where the name does not tell: a "
+        "path below the source, in which * and ? stand for any characters, or the name of a file, to the path of its "
+        'ASF or static trial below the source: `{"walk_*.amc": "subject7.asf"}`; the first that fits counts',
     )
     features: Annotated[str | None, NamesFile("features")] = Field(
         None,

@@ -146,7 +146,7 @@ def compare_source(
         if motion.path not in work.names:
             continue
         try:
-            skeleton, doubts = found.chosen_skeleton(motion, given_skeletons) if motion.format == "amc" else (None, ())
+            skeleton, doubts = found.chosen_skeleton(motion, given_skeletons)
             groups = path_groups(motion.path, compiled)
             of_skeleton = skeleton_sums.of(skeleton) if skeleton is not None else ""
             made = work.recipes[motion.path] = recipe_of(made_by[motion.format], of_skeleton)

@@ -174,13 +174,15 @@ class Sources:
         if checksum(motion.absolute) != row["checksum"]:
             raise SourceError(path, "has changed since it was read")
         given = next((one.params.skeleton_files for one in self._readers if one.root == row["source_root"]), {})
-        skeleton, doubts = found.chosen_skeleton(motion, given) if motion.format == "amc" else (None, ())
+        skeleton, doubts = found.chosen_skeleton(motion, given) if row["skeleton_source"] else (None, ())
         content = checksum(skeleton.absolute) if skeleton is not None else ""
         number, recipe = self._reader_of(row, motion, content)
         if recipe != row["recipe"] and skeleton is not None:
             before = self._skeletons.get((skeleton.root, skeleton.path), "")
             if skeleton.path != row["skeleton_source"] or before != content:
-                raise SourceError(skeleton.absolute, "is not known to be the skeleton that it was read with")
+                raise SourceError(
+                    skeleton.absolute, "is not known to be the skeleton or static trial that it was read with"
+                )
         groups = path_groups(motion.path, self._readers[number].patterns)
         task = Task(row["name"], row["take_id"], motion, skeleton, dict(groups or {}), recipe, doubts)
         return number, replace(task, person=row.get("person") or "", persons=row.get("persons") or 1)

@@ -35,7 +35,7 @@ from kinedex.storage.formats.motion.points import Points, PointsReader
 from kinedex.storage.formats.motion.positions import PositionsReader, parse_positions
 from kinedex.storage.formats.motion.reader import DEFAULT_SETTINGS, Body, MotionFile, ReadSettings
 from kinedex.storage.formats.motion.reader_table import persons_of, read_body, reader_of
-from kinedex.storage.formats.motion.single_file import chosen_person, motion_ending, skeleton_beside
+from kinedex.storage.formats.motion.single_file import chosen_person, file_beside, motion_ending
 from kinedex.storage.formats.motion.skeleton_files import skeleton_doubt
 from kinedex.storage.formats.motion.unpacked_files import Unpacked, unpacked
 
@@ -131,7 +131,7 @@ def inspect_file(
     found = Inspection()
     asf = None
     try:
-        asf = skeleton_beside(file, source) if ending == ".amc" else None
+        asf = file_beside(file, source)
     except KinedexError as fault:
         found.fault = fault
     with unpacked(file, asf) as copy:
@@ -140,7 +140,9 @@ def inspect_file(
         if reader_of(copy.path).format == "amass":
             kind = f"{ending[1:].upper()}, joint angles (AMASS)"
         found.add("format", reader_of(copy.path).title or kind)
-        if asf is not None:
+        if asf is not None and ending != ".amc":
+            found.add("static trial", str(asf))
+        elif asf is not None:
             doubt = skeleton_doubt(file, asf)
             found.add("skeleton file", str(asf) if doubt is None else f"{asf} ({doubt})")
         if found.fault is None:
@@ -196,7 +198,7 @@ def _raw(
     found: Inspection, file: Path, asf: Path | None, mappings: Mappings, given: ReadSettings, person: str = ""
 ) -> _Skeleton | None:
     """Add the facts that are known before mapping, and return the nodes; None for a reader from a plugin."""
-    if asf is not None:
+    if asf is not None and asf.suffix.lower() == ".asf":
         nodes = read_asf(asf, INCH_M).bones
         _add_nodes(found, nodes)
         return _Skeleton("acclaim", nodes)

@@ -49,8 +49,8 @@ def test_one_file_among_others_that_agree_is_named_with_both_figures(change: Row
 
 @pytest.mark.parametrize("column", ["source_root", "format", "skeleton_source", "person"])
 def test_only_files_of_one_folder_format_skeleton_and_person_are_a_session(column: str) -> None:
-    rows = session(9, {"height_m": 0.79, column: "other"})
-    assert session_warnings(rows) == {}
+    rows = [row | {"format": "amc"} for row in session(9)]
+    assert session_warnings([rows[0] | {"height_m": 0.79, column: "other"}, *rows[1:]]) == {}
     rows = session(9, {"height_m": 0.79, "source": "another day/0.trc"})
     assert session_warnings(rows) == {}
 
@@ -99,3 +99,8 @@ def test_warnings_of_a_session_come_and_go_with_its_files() -> None:
     (line,) = session_lines({"a": ["other"], "b": changed["warnings"]})
     assert line.startswith("1 take unlike the files beside it: such as 'b': its body is 0.80 m high")
     assert session_lines({"a": ["other"]}) == []
+
+
+def test_a_static_trial_and_its_motions_are_one_session() -> None:
+    motions = [row | {"skeleton_source": "day/static.trc"} for row in session(9)]
+    assert list(session_warnings([motions[0] | {"height_m": 0.79, "skeleton_source": None}, *motions[1:]])) == [0]

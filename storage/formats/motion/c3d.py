@@ -24,8 +24,10 @@ from kinedex.storage.formats.motion.points import (
     FittedPoints,
     Points,
     body_of_points,
+    completed,
     evidence_of,
     points_bytes,
+    trial_bytes,
     upright,
 )
 from kinedex.storage.formats.motion.reader import FASTEST_HZ, SLOWEST_HZ, Body, Extent, MotionFile, Reader, ReadSettings
@@ -94,7 +96,7 @@ def parse_c3d(path: Path) -> Markers:
         warnings.append(f"it begins with frame {layout.first} of its recording, which is source frame 0 here")
     rate_hz, unit_m, up = _rate(layout, warnings), _unit_m(layout, warnings), _up(layout, warnings)
     names = unique_names(labels, positions, unit_m, warnings)
-    return Markers(str(path), names, positions, rate_hz, None, unit_m, warnings, up)
+    return Markers(str(path), names, positions, rate_hz, None, unit_m, warnings, up=up)
 
 
 def frames_bytes(layout: Layout) -> int:
@@ -176,6 +178,17 @@ def _up(layout: Layout, warnings: list[str]) -> str | None:
     return text[-1]
 
 
+def _size(file: MotionFile) -> tuple[int, int, int]:
+    layout = read_layout(file.path)
+    return layout.frames, layout.points, frames_bytes(layout)
+
+
+def _of_trial(trial: Path, person: str) -> Markers:
+    """Return the markers of a static trial, those of the same person if it has several."""
+    markers = parse_c3d(trial)
+    return points_of_person(markers, person if person in bodies_of(markers.names) else "")
+
+
 class C3dReader(Reader):
     """Reads C3D files."""
 
@@ -190,6 +203,7 @@ class C3dReader(Reader):
         """Return the frames of the file's layout, and estimate the memory of all markers and a block of frames."""
         layout = read_layout(file.path)
         need = points_bytes(layout.frames, layout.points, joints) + frames_bytes(layout)
+        need += trial_bytes(file.skeleton, _size)
         rate_hz = next((rate for rate in layout.rates if SLOWEST_HZ <= rate <= FASTEST_HZ), None)
         return Extent(layout.frames, need, rate_hz and settings.rate_of(rate_hz, []))
 
@@ -219,6 +233,7 @@ class C3dReader(Reader):
             recognised.
         """
         markers = points_of_person(parse_c3d(file.path), file.person).seen()
+        markers = completed(markers, file.skeleton, lambda trial: _of_trial(trial, file.person))
         evidence = evidence_of(markers, markers.up)
         fit = mappings.detect(file.path, "c3d", markers.indices(), evidence).upright(markers.up)
         warnings = [*markers.warnings, *recognition_warnings(fit)]

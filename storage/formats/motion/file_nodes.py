@@ -9,7 +9,7 @@ from kinedex.catalog.skeletons.mappings import MappingRequest, Mappings, Watched
 from kinedex.ops.errors import SourceError
 from kinedex.storage.formats.motion.reader import DEFAULT_SETTINGS, Body, ReadSettings
 from kinedex.storage.formats.motion.reader_table import read_body
-from kinedex.storage.formats.motion.single_file import chosen_person, motion_ending, skeleton_beside
+from kinedex.storage.formats.motion.single_file import chosen_person, file_beside, motion_ending
 from kinedex.storage.formats.motion.unpacked_files import unpacked
 
 
@@ -55,7 +55,7 @@ def read_file_nodes(
     given : ReadSettings, optional
         The rate, gaps and body model given by the user.
     skeleton : Path, optional
-        The ASF of an AMC file, if it is known.
+        The ASF of an AMC file, or the static trial of a file of markers, if it is known.
 
     Raises
     ------
@@ -63,10 +63,11 @@ def read_file_nodes(
         There is no such file, it is of a format that is not read, or it is damaged so that it has no nodes.
     """
     watched = WatchedMappings.of_mappings(mappings)
-    asf = (skeleton or skeleton_beside(file, source)) if motion_ending(file) == ".amc" else None
+    motion_ending(file)
+    beside = skeleton or file_beside(file, source)
     body, fault = None, None
     try:
-        with unpacked(file, asf) as copy:
+        with unpacked(file, beside) as copy:
             chosen = chosen_person(copy.path, copy.skeleton, watched, person)
             body = read_body(copy.path, copy.skeleton, watched, mappings.joints, given, person=chosen)
             body = copy.restated_body(body)

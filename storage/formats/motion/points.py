@@ -7,9 +7,10 @@ invalid.
 from __future__ import annotations
 
 from abc import abstractmethod
+from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import ClassVar, NamedTuple, Self
+from typing import ClassVar, NamedTuple, Self, TypeVar
 
 import numpy as np
 import numpy.typing as npt
@@ -23,7 +24,7 @@ from kinedex.ops.body import kinematics
 from kinedex.ops.body.resample import Gap
 from kinedex.ops.body.up_axis import up_axis
 from kinedex.ops.errors import SourceError
-from kinedex.storage.formats.motion.hidden_markers import close_gaps, placed_in_words
+from kinedex.storage.formats.motion.hidden_markers import Closed, close_gaps, largest_error
 from kinedex.storage.formats.motion.mapped_body import (
     recognition_evidence,
     recognition_warnings,
@@ -42,6 +43,7 @@ from kinedex.storage.formats.motion.reader import (
     body_bytes,
 )
 from kinedex.storage.formats.motion.replaced_joints import replaced_joints
+from kinedex.storage.formats.motion.static_trials import StaticTrial, added_markers, labels_as_in, static_shapes
 
 F64 = npt.NDArray[np.float64]
 I64 = npt.NDArray[np.int64]
@@ -71,6 +73,8 @@ class Points:
         Metres per unit, if the file states it.
     warnings : list of str
         Warnings about the file.
+    static : StaticTrial, optional
+        The static trial that completes the points (`completed`).
     """
 
     path: str
@@ -80,6 +84,7 @@ class Points:
     clock_hz: float | None = None
     unit_m: float | None = None
     warnings: list[str] = field(default_factory=list)
+    static: StaticTrial | None = None
 
     def indices(self) -> dict[str, int]:
         """Return a dict from name to index."""
@@ -93,10 +98,61 @@ class Points:
         return replace(self, names=tuple(self.names[i] for i in there), positions=self.positions[there])
 
 
+AnyPoints = TypeVar("AnyPoints", bound=Points)
+
+_SHARED = 3  # least labels of a static trial that a motion has, too
+
+
+def completed(points: AnyPoints, trial: Path | None, read: Callable[[Path], Points]) -> AnyPoints:
+    """Return the points of a motion, with the markers that only its static trial has, as their segments place them.
+
+    Parameters
+    ----------
+    points : Points
+        The points of the motion.
+    trial : Path, optional
+        The file of the static trial, if the motion has one.
+    read : callable
+        Reads the points of such a file.
+    """
+    if trial is None:
+        return points
+    try:
+        static = read(trial).seen()
+    except SourceError as fault:
+        reason = f"its static trial {trial.name} cannot be read, and places no markers: {fault.reason}"
+        return replace(points, warnings=[*points.warnings, reason])
+    labels = labels_as_in(static.names, points.names)
+    if len(set(labels) & set(points.names)) < _SHARED or len(set(labels)) < len(labels):
+        return points
+    scale = static.unit_m / points.unit_m if static.unit_m and points.unit_m else 1.0
+    motion = dict(zip(points.names, points.positions, strict=True))
+    tolerance = largest_error(points.positions)
+    shapes = static_shapes(labels, scale * static.positions, motion, tolerance)
+    added = added_markers(points.names, points.positions, shapes, tolerance)
+    warnings = [added.refusal(trial.name)] if added.refused else []
+    return replace(
+        points,
+        names=(*points.names, *added.positions),
+        positions=np.concatenate([points.positions, *(track[None] for track in added.positions.values())]),
+        warnings=[*points.warnings, *warnings],
+        static=StaticTrial(trial.name, shapes, added.markers),
+    )
+
+
 def points_bytes(frames: int, points: int, joints: int) -> int:
     """Estimate the memory in bytes of points, of the body made of them, and of intermediate arrays."""
     masks, gaps = 4 * 3 * points * frames, 100 * frames
     return 24 * points * frames + masks + gaps + body_bytes(frames, joints) + min(frames, _BLOCK_FRAMES) * 96 * joints
+
+
+def trial_bytes(trial: Path | None, size: Callable[[MotionFile], tuple[int, int, int]]) -> int:
+    """Estimate the memory in bytes of a static trial, given a function for frames, points and further bytes."""
+    try:
+        frames, points, more = size(MotionFile(trial)) if trial is not None else (0, 0, 0)
+    except SourceError:  # the motion is read without it
+        return 0
+    return 2 * 24 * frames * points + more
 
 
 def body_of_points(
@@ -133,7 +189,7 @@ def body_of_points(
     rate_hz = _rate(points, settings, warnings)
     longest = settings.gap_frames(rate_hz)
     used = list(fit.nodes)
-    closed = close_gaps(points.positions, used, longest, names if fit.recognised else None)
+    closed = _closed(points, used, longest, fit.recognised)
     positions = _placed(points.positions, fit, joints)
     known = [i for i, joint in enumerate(joints) if joint not in fit.unknown]
     valid: Mask = np.ones(positions.shape[2], np.bool_)
@@ -142,8 +198,7 @@ def body_of_points(
     called = [names[index] for index in used]
     if closed.lines:
         warnings.append(f"gaps closed along straight lines: {_gaps_in_words(closed.lines, called)}")
-    if closed.markers:
-        warnings.append(placed_in_words(closed, names))
+    warnings += closed.warnings(names, points.static.name if points.static is not None else "")
     if not valid.all():
         lost = [joints[i] for i in known if np.isnan(positions[i]).any()]
         warnings.append(_invalid(path, fit, valid, closed.left, longest, called, lost))
@@ -175,6 +230,18 @@ def body_of_points(
         filled_frames=closed.frames,
         filled_from=closed.least,
     )
+
+
+def _closed(points: Points, used: list[int], longest: int, recognised: bool) -> Closed:
+    """Close gaps of the used points in place, and count those that the static trial has added."""
+    static = points.static
+    shapes = static.shapes if static is not None else {}
+    closed = close_gaps(points.positions, used, longest, points.names if recognised else None, shapes)
+    index = points.indices()
+    for label, counts in static.markers.items() if static is not None else ():
+        if index[label] in used:
+            closed.by_static[index[label]] = counts
+    return closed
 
 
 def _rate(points: Points, settings: ReadSettings, warnings: list[str]) -> float:
@@ -334,6 +401,7 @@ class PointsReader(Reader):
     def extent(self, file: MotionFile, joints: int, settings: ReadSettings) -> Extent:
         """Return the number of frames, and the estimated memory for all points and the body computed from them."""
         frames, points, more = self.size(file)
+        more += trial_bytes(file.skeleton, self.size)
         return Extent(frames, points_bytes(frames, points, joints) + more, settings.override_rate_hz)
 
     def read(self, file: MotionFile, mappings: Mappings, joints: tuple[str, ...], settings: ReadSettings) -> Body:
@@ -356,12 +424,18 @@ class PointsReader(Reader):
             The file is damaged, or the body is not recognised.
         """
         points = self.named(self.points(file, settings), mappings).seen()
+        points = completed(points, file.skeleton, lambda trial: self._of_trial(trial, file.person, mappings, settings))
         evidence = evidence_of(points, self.up)
         fit = mappings.detect(file.path, "positions", points.indices(), evidence)
         warnings = [*points.warnings, *recognition_warnings(fit)]
         if "positions" not in mappings.forced:
             fit = upright(fit, evidence, warnings, settings.session_up)
         return FittedPoints(points, fit, warnings)
+
+    def _of_trial(self, trial: Path, person: str, mappings: Mappings, settings: ReadSettings) -> Points:
+        """Return the points of a static trial, those of the same person if it has several."""
+        chosen = person if person in self.persons(MotionFile(trial), mappings) else ""
+        return self.named(self.points(MotionFile(trial, person=chosen), settings), mappings)
 
 
 def evidence_of(points: Points, up: str | None = None) -> Evidence:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
+from kinedex.catalog.capture_sessions import MARKERS
 from kinedex.catalog.skeletons.mappings import Mappings
 from kinedex.ops.errors import KinedexError, SourceError, did_you_mean
 from kinedex.storage.formats.motion.packed_files import archive, file_exists, files_in, split_ending
@@ -12,6 +13,7 @@ from kinedex.storage.formats.motion.reader_table import is_known_by_ending, moti
 from kinedex.storage.formats.motion.scanned_files import SourceFile
 from kinedex.storage.formats.motion.skeleton_files import skeleton_of
 from kinedex.storage.formats.motion.sources import UNREAD
+from kinedex.storage.formats.motion.static_files import static_trial_of, trials_by_folder
 from kinedex.storage.formats.motion.unpacked_files import unpacked
 
 ABOVE = 3
@@ -41,6 +43,34 @@ def motion_ending(file: Path) -> str:
     if ending not in motion_endings():
         raise SourceError(file, f"is not read: {UNREAD.get(ending) or 'kinedex reads ' + ', '.join(motion_endings())}")
     return ending
+
+
+def file_beside(motion: Path, source: Path | None = None) -> Path | None:
+    """Find the skeleton file of an AMC file, or the static trial of a file of markers, by the same rules as ingest.
+
+    Parameters
+    ----------
+    motion : Path
+        The motion file.
+    source : Path, optional
+        The source root, up to which folders are searched for a skeleton.
+
+    Raises
+    ------
+    KinedexError
+        The file does not lie below the source root.
+    SourceError
+        No skeleton file matches an AMC file, or several match equally well.
+    """
+    ending = split_ending(motion.name)[1].lower()
+    if ending == ".amc":
+        return skeleton_beside(motion, source)
+    if ending[1:] not in MARKERS:
+        return None
+    motion = motion.resolve()
+    files = [_source(motion.parent, path) for path in files_in(motion.parent) if path.name != motion.name]
+    trial = static_trial_of(_source(motion.parent, motion), trials_by_folder(files))
+    return trial.absolute if trial is not None else None
 
 
 def skeleton_beside(amc: Path, source: Path | None = None) -> Path:

@@ -38,7 +38,9 @@ def skeleton_of(motion: SourceFile, skeletons: Iterable[SourceFile]) -> SourceFi
     return nearest_skeleton(motion, skeletons_by_folder(skeletons))
 
 
-def given_skeleton(motion: SourceFile, skeletons: Iterable[SourceFile], given: Mapping[str, str]) -> SourceFile | None:
+def given_skeleton(
+    motion: SourceFile, skeletons: Iterable[SourceFile], given: Mapping[str, str], form: str = "asf"
+) -> SourceFile | None:
     """Return the skeleton file that settings give a motion file, or None if they give it none.
 
     Parameters
@@ -46,10 +48,12 @@ def given_skeleton(motion: SourceFile, skeletons: Iterable[SourceFile], given: M
     motion : SourceFile
         The motion file.
     skeletons : iterable of SourceFile
-        All skeleton files.
+        All skeleton files, or all files that may be static trials.
     given : mapping of str to str
         Pattern with * and ? → path of a skeleton file; both below the source, or names of files. The first pattern that
         the motion's path or name matches counts.
+    form : str, optional
+        The format of the files that it may be given.
 
     Raises
     ------
@@ -57,15 +61,18 @@ def given_skeleton(motion: SourceFile, skeletons: Iterable[SourceFile], given: M
         There is no such skeleton file, or there are several of this name.
     """
     name = os.path.basename(motion.path)
-    wanted = next((to for one, to in given.items() if fnmatchcase(motion.path, one) or fnmatchcase(name, one)), None)
+    of_form = {one: to for one, to in given.items() if split_ending(to)[1].lower() == f".{form}"}
+    wanted = next((to for one, to in of_form.items() if fnmatchcase(motion.path, one) or fnmatchcase(name, one)), None)
     if wanted is None:
         return None
     skeletons = list(skeletons)
     found = [file for file in skeletons if file.path == wanted]
     found = found or [file for file in skeletons if os.path.basename(file.path) == wanted]
     if len(found) != 1:
-        those = ", ".join(file.path for file in found or skeletons) or "none"
-        many = "several skeletons have this name" if found else "the source has no such skeleton"
+        more = f" and {len(found or skeletons) - _MAX_SEEN} more" if len(found or skeletons) > _MAX_SEEN else ""
+        those = (", ".join(file.path for file in (found or skeletons)[:_MAX_SEEN]) or "none") + more
+        kind = "skeleton" if form == "asf" else "static trial"
+        many = f"several {kind}s have this name" if found else f"the source has no such {kind}"
         raise SourceError(motion.absolute, f"`skeleton_files` gives it '{wanted}', but {many}: it has {those}")
     return found[0]
 

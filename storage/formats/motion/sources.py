@@ -13,6 +13,7 @@ from functools import cached_property
 from pathlib import Path
 from typing import Any, NamedTuple
 
+from kinedex.catalog.capture_sessions import MARKERS
 from kinedex.ops.errors import SourceError, StoreError
 from kinedex.storage.formats.motion.packed_files import (
     Member,
@@ -31,6 +32,7 @@ from kinedex.storage.formats.motion.skeleton_files import (
     skeleton_doubt,
     skeletons_by_folder,
 )
+from kinedex.storage.formats.motion.static_files import static_trial_of, trials_by_folder
 from kinedex.storage.formats.motion.text_blocks import BLOCK
 from kinedex.storage.formats.motion.unpacked_files import is_utf16, recognised
 
@@ -137,8 +139,16 @@ class Scan:
         """Return the skeleton file that belongs to a motion file, as the function `skeleton_of` does."""
         return nearest_skeleton(motion, self._skeletons_in)
 
-    def chosen_skeleton(self, motion: SourceFile, given: Mapping[str, str]) -> tuple[SourceFile, tuple[str, ...]]:
-        """Return the skeleton file of a motion file, and a warning if their names do not fit each other.
+    @cached_property
+    def _static_trials(self) -> Mapping[tuple[str, str], list[SourceFile]]:
+        return trials_by_folder(self.motions)
+
+    def chosen_skeleton(
+        self, motion: SourceFile, given: Mapping[str, str]
+    ) -> tuple[SourceFile | None, tuple[str, ...]]:
+        """Return the skeleton file of an AMC file, or the static trial of a file of markers, if it has one.
+
+        A warning comes with it if the names of an AMC file and of its skeleton do not fit each other.
 
         Parameters
         ----------
@@ -148,6 +158,12 @@ class Scan:
             The skeleton files that settings give, see `given_skeleton`; for other motion files the rule of
             `skeleton_of` counts.
         """
+        if motion.format in MARKERS:
+            same = [file for file in self.motions if file.format == motion.format] if given else []
+            trial = given_skeleton(motion, same, given, motion.format)
+            return (trial if trial not in (None, motion) else static_trial_of(motion, self._static_trials)), ()
+        if motion.format != "amc":
+            return None, ()
         if (skeleton := given_skeleton(motion, self.skeletons, given)) is not None:
             return skeleton, ()
         skeleton = self.skeleton_of(motion)

@@ -8,7 +8,14 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
-from kinedex.ops.body.rigid_segments import fit_poses, is_spread, mean_shape, placed_by_segment
+from kinedex.ops.body.rigid_segments import (
+    fit_poses,
+    is_spread,
+    leverage,
+    mean_shape,
+    placed_by_segment,
+    placed_by_shape,
+)
 from kinedex.ops.errors import ParameterError
 
 COORDINATES = st.floats(-1, 1)
@@ -148,3 +155,63 @@ def test_absurd_numbers_place_nothing() -> None:
     near[0, :, 25], near[1, :, 26] = 1e300, np.inf
     near[3][:, wanted] = np.nan
     assert placed_by_segment(near, 3, wanted, 1.0).markers[wanted].tolist() == [3, 3, 3, 3, 0, 0, 3, 3, 3]
+
+
+@given(TEMPLATES, SEEDS, st.floats(0, 0.02))
+def test_a_shape_of_a_static_trial_places_a_marker_as_a_naive_twin_does(
+    template: np.ndarray, seed: int, noise: float
+) -> None:
+    if not is_wide(template):
+        return
+    marker = np.array([0.3, -0.2, 0.4])
+    motion = moved(np.vstack([template, marker]), 6, seed)
+    motion[:-1] += np.random.default_rng(seed).normal(0, noise, motion[:-1].shape)
+    motion[-1] = np.nan
+    shape = np.vstack([template, marker])
+    found = placed_by_shape(motion, len(template), np.ones(6, bool), shape, 10.0)
+    for t in range(6):
+        turn, shift = by_quaternion(template, motion[:-1, :, t])
+        np.testing.assert_allclose(found.positions[:, t], turn @ marker + shift, atol=1e-6)
+    assert (found.markers == len(template)).all()
+    assert np.isfinite(found.errors).all()
+
+
+def test_a_marker_that_has_left_its_place_since_the_static_trial_does_not_count() -> None:
+    template = np.array([[0.1, 0, 0], [0, 0.12, 0], [-0.1, 0, 0.02], [0, -0.1, 0.05], [0.05, 0.05, 0.1]])
+    marker = np.array([0.1, -0.1, 0.1])
+    motion = moved(np.vstack([template, marker]), 30, 4)
+    truth = motion[-1].copy()
+    motion[-1] = np.nan
+    shape = np.vstack([template, marker])
+    shape[1] += 0.1  # fixed anew
+    wanted = np.arange(30) >= 10
+    found = placed_by_shape(motion, 5, wanted, shape, 0.02)
+    np.testing.assert_allclose(found.positions[:, wanted], truth[:, wanted], atol=1e-9)
+    assert set(found.markers[wanted]) == {4}
+    assert not found.markers[~wanted].any()
+    assert not placed_by_shape(motion, 5, wanted, 1.4 * shape, 0.02).markers.any()  # of another person
+    shape[3:5] = np.nan  # three are left, one of which has moved
+    assert not placed_by_shape(motion, 5, wanted, shape, 0.02).markers.any()
+
+
+def test_a_marker_that_is_seen_beside_its_place_keeps_the_difference_in_a_gap() -> None:
+    template = np.array([[0.1, 0, 0], [0, 0.12, 0], [-0.1, 0, 0.02], [0, -0.1, 0.05]])
+    motion = moved(np.vstack([template, [0.1, -0.1, 0.1]]), 40, 6)
+    shape = np.vstack([template, [0.1, -0.09, 0.1]])
+    truth, wanted = motion[-1].copy(), (np.arange(40) >= 10) & (np.arange(40) < 30)
+    motion[-1][:, wanted] = np.nan
+    found = placed_by_shape(motion, 4, wanted, shape, 0.02)
+    np.testing.assert_allclose(found.positions[:, wanted], truth[:, wanted], atol=1e-9)
+
+
+@given(SEEDS)
+def test_the_leverage_of_a_place_is_the_error_that_noise_of_the_markers_gives_it(seed: int) -> None:
+    random = np.random.default_rng(seed)
+    template, place = random.normal(size=(4, 3)), 2 * random.normal(size=3)
+    if np.linalg.svd(template - template.mean(axis=0), compute_uv=False)[1] < 0.7:
+        return
+    noisy = template[:, :, None] + random.normal(0, 1e-3, (4, 3, 4000))
+    poses = fit_poses(template, noisy)
+    away = poses.rotations @ place + poses.shifts - place
+    error = np.sqrt((away**2).sum(axis=1).mean())
+    assert error == pytest.approx(1e-3 * np.sqrt(3) * leverage(template, place), rel=0.1)
