@@ -12,7 +12,7 @@ import numpy as np
 
 from kinedex.catalog.feature_definitions import PRIMITIVES, Feature, WordSet
 from kinedex.ops.arrays import I64, U64
-from kinedex.ops.body.feature_rules import JOINTS_OF, Primitive, Rule
+from kinedex.ops.body.feature_rules import JOINTS_OF, Primitive, Rule, Term
 from kinedex.ops.errors import KinedexError, did_you_mean
 from kinedex.ops.words import MAX_FEATURES, rearrange
 
@@ -34,6 +34,12 @@ class AffectedFeatures(NamedTuple):
     unknown: tuple[Feature, ...]
     narrowed: tuple[Feature, ...]
     scaled: tuple[Feature, ...]
+
+
+def _is_noisy(term: Term) -> bool:
+    """Return whether noise of some millimetres changes a term by as much as motion does."""
+    velocity = term.primitive in ("vplane", "vnplane")
+    return term.primitive in ("speed", "turn_rate") or (velocity and not term.window_ms)
 
 
 @dataclass(frozen=True)
@@ -214,6 +220,16 @@ class FeatureSet:
     def every_bit(self) -> int:
         """The mask of all features, with the bits of a word."""
         return (1 << len(self.features)) - 1
+
+    @property
+    def steady(self) -> int:
+        """The mask of the features that noise of some millimetres hardly changes, with the bits of a word.
+
+        These are all but speeds and rates of turning, and velocities from one frame to the next. They are the same
+        wherever the body is, and also if its root is kept in place.
+        """
+        numbers = [one.number for one in self.features if not any(map(_is_noisy, one.rule.terms))]
+        return sum(1 << (number - 1) for number in numbers)
 
     def known(self, unknown: Iterable[str]) -> int:
         """Return the mask of the features that are known for a body without certain joints, with the bits of a word.

@@ -247,7 +247,7 @@ def _ranked_lanes(store: Store, take_id: int) -> list[Row]:
 
 def _duplicate_lanes(store: Store, take_id: int) -> list[Row]:
     """Return the ranges that are also in another take."""
-    columns = "of_take AS class, of_take_id, same, start, stop, share, shift_seconds, mirrored"
+    columns = "of_take AS class, of_take_id, same, changes, start, stop, share, shift_seconds, mirrored"
     rows = store.sql(_PLAIN.format(columns=columns, view="duplicates"), [take_id]).to_pylist()
     return [_lane("duplicates", "Also in another take", rows, "duplicates")] if rows else []
 

@@ -12,12 +12,16 @@ ARCHIVE_VIEWS = (
 of_take_id    BIGINT    id of the other take, which is longer, or as long with an earlier name
 of_take    VARCHAR    name of the other take
 same    VARCHAR    kind of the duplicate: file (a copy of the same file) or motion (the joints move alike)
+changes    VARCHAR    what was done to the copy: trimmed, part (only a part is in common), resampled, shifted (by a \
+part of a frame), another clock, mirrored, another body; or same frames, or same file; NULL in rows of earlier versions
 {SECONDS}
 share    DOUBLE    share of the take that the range covers
 shift_seconds    DOUBLE    shift in seconds: time t of the take is time t + shift_seconds of the other take
+pace    DOUBLE    seconds of the other take in a second of the take; 1 unless their clocks differ
 mirrored    BOOLEAN    true if left and right are exchanged
-distance_mm    DOUBLE    mean distance of the joints around the root""",
-        "SELECT take, of_take, share, mirrored FROM duplicates WHERE share > 0.9 ORDER BY take, of_take LIMIT 10",
+distance_mm    DOUBLE    root mean square distance of the joints of poses that are laid over one another; for another \
+body, of the same directions of bones on a body of ordinary size""",
+        "SELECT take, of_take, changes, distance_mm FROM duplicates WHERE share > 0.9 ORDER BY take, of_take LIMIT 10",
     ),
     result_view(
         "skeleton_files",

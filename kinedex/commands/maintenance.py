@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import shlex
 import sys
+from collections import Counter
 from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -38,8 +39,9 @@ if TYPE_CHECKING:
 def duplicates(store: StorePath, *, output: Output, as_json: JsonOption = False) -> None:
     """List takes that come from the same file or show the same motion.
 
-    Motion is found that was cut, moved, turned, mirrored, or stored at another rate. The rows are kept in the store as
-    the view `duplicates`.
+    Motion is found that was trimmed, moved, turned, mirrored, resampled, made noisy, or put on another body. `changes`
+    says what was done, `distance_mm` how far the joints are apart, and `shift_ms` how much later the motion is in the
+    other take. The rows are kept in the store as the view `duplicates`.
     """
     from kinedex.console.terminal import Terminal
     from kinedex.pipelines.engine.run_id import new_run_id
@@ -53,21 +55,33 @@ def duplicates(store: StorePath, *, output: Output, as_json: JsonOption = False)
     if as_json:
         print_json({"store": store, "takes": takes, "duplicates": found})
         return
-    output.show(found.drop_columns(["take_id", "of_take_id", "start", "stop"]) if output.is_plain else found)
+    output.show(_shown(found) if output.is_plain else found)
     if output.is_plain:
         print_message(_duplicates_line(found, takes))
 
 
+def _shown(found: pa.Table) -> pa.Table:
+    """Return the columns of duplicates that a person reads, with the shift in milliseconds."""
+    import pyarrow.compute as pc
+
+    shown = found.select(["take", "of_take", "changes", "start_seconds", "stop_seconds", "share", "distance_mm"])
+    return shown.append_column("shift_ms", pc.multiply(found.column("shift_seconds"), 1000.0))
+
+
 def _duplicates_line(found: pa.Table, takes: int) -> str:
     """Return the line below the table, with the number of takes of each kind of duplicate."""
-    rows = list(zip(*(found.column(name).to_pylist() for name in ("take", "same", "share")), strict=True))
-    files = {take for take, same, _ in rows if same == "file"}
-    whole = {take for take, same, share in rows if same == "motion" and share > 0.9} - files
+    columns = (found.column(name).to_pylist() for name in ("take", "same", "share", "changes"))
+    rows = list(zip(*columns, strict=True))
+    files = {take for take, same, *_ in rows if same == "file"}
+    whole = {take for take, same, share, _ in rows if same == "motion" and share > 0.9} - files
     parts = {take for take, *_ in rows} - files - whole
-    return (
+    changes = Counter(one for _, same, _, text in rows if same == "motion" for one in text.split(", "))
+    pairs = ", ".join(f"{change} {count:,}" for change, count in changes.most_common())
+    line = (
         f"of {counted(takes, 'take')}, {len(files):,} come from a copy of a file, {len(whole):,} hold the motion of "
         f"another take, {len(parts):,} have a part in common with one"
     )
+    return f"{line}; pairs by change: {pairs}" if pairs else line
 
 
 @command(MAINTAIN)

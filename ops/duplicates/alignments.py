@@ -1,10 +1,10 @@
 """This module finds alignments of takes in which several successive runs of words are equal.
 
 A copy of a motion has the same words, even if it is cut, moved or rotated about the vertical; a mirrored copy has
-mirrored words. If a copy has another frame rate, or is cut between two analysis frames, some of its runs of words
-differ and others are equal. Therefore each sequence of `LENGTH` successive runs is looked up in all other takes, and
-each occurrence votes for the alignment that it implies. Most alignments of different motions are rejected by their
-words, before poses are compared.
+mirrored words. If a copy has another frame rate, noise or another body, or is cut between two analysis frames, some of
+its runs of words differ and others are equal. Therefore each sequence of `LENGTH` successive runs is looked up in all
+other takes, and each occurrence votes for the alignment that it implies. Most alignments of different motions are
+rejected by their words, before poses are compared.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from kinedex.ops.duplicates.same_motion import MIN_DURATION_S
 from kinedex.ops.search.runs import WordRuns
 from kinedex.ops.words import NO_WORD
 
-LENGTH = 4
+LENGTH = 3
 """Number of successive runs in a sequence: 4 words of 40 bits are rarely equal by chance."""
 
 SHORT = 2
@@ -29,6 +29,9 @@ SHORT = 2
 
 FEW_RUNS = 24
 """Number of runs; takes with fewer runs are also looked up by sequences of `SHORT` runs."""
+
+FEWEST_RUNS = 4
+"""Number of runs; takes with fewer runs are also looked up by single runs."""
 
 FEW = 24
 """Largest number of occurrences of a sequence for which all pairs vote; beyond it only neighbouring occurrences do."""
@@ -51,7 +54,7 @@ LONG_S = 5.0
 
 LONG_DIFFER, LONG_VOTES, SHORT_DIFFER = 0.2, 2, 0.5
 """The largest word difference and the minimum number of votes of two long takes, and the largest word difference if a
-take is shorter. (All of 1,234 copies of HDM05's clips differ by less, those of 5 s and more by at most 0.05.)
+take is shorter.
 """
 
 LAG_FRAMES = 6
@@ -124,9 +127,14 @@ def find_alignments(runs: WordRuns, mirrored: U64 | None = None, most_votes: int
         `KEPT` alignments with the most votes are included.
     """
     count = int(runs.take[-1]) + 1 if len(runs.take) else 0
-    few = np.bincount(runs.take, minlength=count) < FEW_RUNS
+    number = np.bincount(runs.take, minlength=count)
+    few, fewest = number < FEW_RUNS, number < FEWEST_RUNS
     tables = [
-        [_places(runs, image, LENGTH, np.ones_like(few)), _places(runs, image, SHORT, few)]
+        [
+            _places(runs, image, LENGTH, np.ones_like(few)),
+            _places(runs, image, SHORT, few),
+            _places(runs, image, 1, fewest),
+        ]
         for image in ((None,) if mirrored is None else (None, mirrored))
     ]
     votes = np.array([[_count_votes(*table, count) for table in both] for both in tables], np.int64)
@@ -165,7 +173,8 @@ def _blocks(votes: I64, most: int) -> Iterator[tuple[int, int]]:
 def _sequences(runs: WordRuns, words: U64, length: int) -> tuple[U64, I64, I64]:
     """Return hash, take and frame of each sequence of `length` consecutive runs without an invalid frame between them.
 
-    The frame is the start of the second run, because the first run may be cut off at the start of a take.
+    The frame is the start of the second run, because the first run may be cut off at the start of a take; of a single
+    run it is the start.
     """
     count = len(runs.take) - length + 1
     if count < 1:
@@ -178,7 +187,8 @@ def _sequences(runs: WordRuns, words: U64, length: int) -> tuple[U64, I64, I64]:
         if k:
             # valid only without an invalid frame in between
             whole &= runs.start[k : k + count] == runs.stop[k - 1 : k - 1 + count]
-    return hashes[whole], runs.take[:count][whole], runs.start[1 : 1 + count][whole]
+    second = min(1, length - 1)
+    return hashes[whole], runs.take[:count][whole], runs.start[second : second + count][whole]
 
 
 def _places(runs: WordRuns, mirrored: U64 | None, length: int, asked: Bool) -> _Places:
@@ -323,7 +333,7 @@ def word_differences(words: U64, offsets: I64, mirrored: U64 | None, found: Alig
     -------
     float64 array (A,)
         The number of bits that differ between the two takes, divided by the number of bits that differ between frames
-        of the second take that are `LAG_FRAMES` apart; ∞ if no word changes.
+        of the second take that are `LAG_FRAMES` apart. If no word changes, 0 for equal words and ∞ for others.
     """
     other = words if mirrored is None else mirrored
     return _differences(words, other, offsets, found, frames)
@@ -339,7 +349,7 @@ def _differences(words: U64, mirrored: U64, offsets: I64, found: Alignments, fra
         low = max(0, -shift[row], start[row] - frames)
         high = min(end - two, offsets[first[row] + 1] - one, stop[row] + frames)
         length = min(frames, high - low)
-        differ, change = 0, 0
+        differ, change, equal = 0, 0, False
         for t in range(low, high):
             differ += _bits(words[one + t], other[two + t])
             change += _bits(words[two + t], words[min(two + t + LAG_FRAMES, end - 1)])
@@ -347,8 +357,12 @@ def _differences(words: U64, mirrored: U64, offsets: I64, found: Alignments, fra
                 out = t - length
                 differ -= _bits(words[one + out], other[two + out])
                 change -= _bits(words[two + out], words[min(two + out + LAG_FRAMES, end - 1)])
-            if t >= low + length - 1 and change > 0:
-                result[row] = min(result[row], differ / change)
+            if t >= low + length - 1:
+                if change > 0:
+                    result[row] = min(result[row], differ / change)
+                equal |= differ == 0
+        if equal and result[row] == np.inf:
+            result[row] = 0.0
     return result
 
 

@@ -1,4 +1,9 @@
-"""This module decides whether two takes hold the same motion, by joint positions relative to the root."""
+"""This module decides whether two takes hold the same motion, by the distances of their joints after an alignment.
+
+One noise model decides: what an export, a filter or another rate can change in a copy is a number of millimetres, and a
+number of milliseconds times the speed of the joints. Two performances differ by more, and their difference persists for
+tenths of a second, whereas that of a noisy copy changes from frame to frame.
+"""
 
 from __future__ import annotations
 
@@ -11,19 +16,34 @@ from numba import njit
 from kinedex.ops.arrays import F32, F64
 
 NEAR_M = 0.03
-"""Mean distance of joints in metres below which two poses can be the same pose, sampled at another rate."""
+"""Distance of joints in metres below which two poses can be the same pose, sampled at another rate."""
 
 GAP_FRAMES = 3
 """Longest interruption of an interval of near poses in frames, as by a fast hand sampled at another rate."""
 
-LAG_S = 0.2
-"""Time in seconds between the poses of a take that measure how much it moves."""
+NOISE_M, NOISE_S = 0.007, 0.006
+"""The largest root mean square distance of copies: metres, and seconds that are multiplied by the speed of joints."""
 
-RATIO = 0.15
-"""Largest distance of two copies, relative to the distance of poses `LAG_S` apart in the interval."""
+PERSISTING_M, PERSISTING_S = 0.003, 0.004
+"""The largest distance of copies that persists for `LAG_S`: metres, and seconds that are multiplied by the speed."""
 
-FLOOR_M = 0.0001
-"""Distance in metres below which poses count as equal, due to rounding in files, however still the body is."""
+SPREAD = 0.35
+"""The largest persisting distance of copies, relative to the spread of poses: they share movement, not posture."""
+
+FLOOR_M = 0.0003
+"""Distance in metres below which the spread does not count, as files are rounded to whole millimetres."""
+
+LAG_S = 0.1
+"""Time in seconds for which a difference of poses must last in order to persist."""
+
+SPEED_S = 0.2
+"""Time in seconds over which the speed of joints is measured, so that noise hardly adds to it."""
+
+MAX_PACE = 0.06
+"""Largest relative difference of the clocks of two copies; films at 24 and at 25 frames a second differ by 0.04."""
+
+SEED_S = 0.4
+"""Minimum duration in seconds of an interval of near poses that is extended while the clocks are compared."""
 
 MIN_DURATION_S = 1.0
 """Minimum duration in seconds of a common interval, unless it is nearly all of the shorter take."""
@@ -34,7 +54,24 @@ NEARLY_ALL = 0.9
 MAX_SAMPLED_FRAMES = 256
 """Number of frames in which a shift is estimated; fewer than twice as many, as the step between them is whole."""
 
-_STEPS = 8  # steps per frame of the first search for the shift between two frames
+_SHIFT_FRAMES = 0.1  # from which the moments of two takes differ
+_DRIFT_FRAMES = 0.5  # from which the clocks of two takes differ
+_OUTSIDE = 0.02  # share of a frame by which a moment may lie outside of a take, as alignments are not exact
+_PROBED = 6  # frames that are looked at before takes are compared
+_ROUNDS = 12  # rounds of extending an interval, each at most to its double
+_TRIES = 3  # steps of the fit of shift and pace in each round
+
+
+class Warp(NamedTuple):
+    """An alignment in time: frame t of the second take is at t + shift + pace · (t − centre) of the first."""
+
+    shift: float
+    pace: float
+    centre: float
+
+    def at(self, frame: float) -> float:
+        """Return the shift at a frame of the second take."""
+        return self.shift + self.pace * (frame - self.centre)
 
 
 class SameMotion(NamedTuple):
@@ -45,59 +82,41 @@ class SameMotion(NamedTuple):
     start, stop : int
         Frames of the second take.
     shift : float
-        Time t of the second take corresponds to time t + shift of the first, in frames.
+        Frame `start` of the second take corresponds to frame start + shift of the first.
+    pace : float
+        Frames of the first take in a frame of the second; 1 if their clocks agree.
     distance_m : float
-        Mean distance of the joints in metres.
+        Root mean square distance of the joints in metres.
+    persisting_m : float
+        The part of it that persists for `LAG_S`, in metres.
+    speed_m_s : float
+        Root mean square speed of the joints relative to the root, in metres a second.
+    spread_m : float
+        Root mean square distance of the joints from their mean place around the root, in metres.
     """
 
     start: int
     stop: int
     shift: float
+    pace: float
     distance_m: float
+    persisting_m: float
+    speed_m_s: float
+    spread_m: float
 
-
-def local_poses(positions: F32, root: int, left: int, right: int, *, mirrored: bool = False) -> F32:
-    """Return joint positions relative to the root, rotated so that the hips lie along the X axis.
-
-    Parameters
-    ----------
-    positions : float32 array (T, J, 3)
-        Positions in metres, Y up.
-    root, left, right : int
-        The joints of the root and of the left and right hip.
-    mirrored : bool, optional
-        True to mirror the poses; `left`, `right` and the order of the joints must then be those of the other side.
-
-    Returns
-    -------
-    float32 array (T, J, 3)
-        Positions that depend neither on the body's position nor on its facing direction; NaN if a joint is not known.
-    """
-    return _local(positions, root, left, right, -1.0 if mirrored else 1.0)
-
-
-@njit(cache=True, nogil=True)
-def _local(positions: F32, root: int, left: int, right: int, side: float) -> F32:
-    turned = np.empty(positions.shape, np.float32)
-    for t in range(len(positions)):
-        x0, y0, z0 = (
-            np.float64(positions[t, root, 0]),
-            np.float64(positions[t, root, 1]),
-            np.float64(positions[t, root, 2]),
+    @property
+    def within_noise(self) -> bool:
+        """True if the poses differ by no more than noise and resampling explain at this speed."""
+        return (
+            self.distance_m <= NOISE_M + NOISE_S * self.speed_m_s
+            and self.persisting_m <= PERSISTING_M + PERSISTING_S * self.speed_m_s
+            and self.persisting_m <= FLOOR_M + SPREAD * self.spread_m
         )
-        across = side * (np.float64(positions[t, left, 0]) - positions[t, right, 0])
-        along = np.float64(positions[t, left, 2]) - positions[t, right, 2]
-        length = math.hypot(across, along)
-        cosine, sine = (across / length, along / length) if length > 0 else (across, along)
-        for j in range(positions.shape[1]):
-            x, z = side * (np.float64(positions[t, j, 0]) - x0), np.float64(positions[t, j, 2]) - z0
-            turned[t, j, 0] = cosine * x + sine * z
-            turned[t, j, 1] = np.float64(positions[t, j, 1]) - y0
-            turned[t, j, 2] = cosine * z - sine * x
-    return turned
 
 
-def same_motion(first: F32, second: F32, shift: int, rate_hz: float) -> SameMotion | None:
+def same_motion(
+    first: F32, second: F32, shift: int, rate_hz: float, support: tuple[int, int] | None = None
+) -> SameMotion | None:
     """Return the longest interval around an alignment in which two takes show the same motion.
 
     Parameters
@@ -108,49 +127,126 @@ def same_motion(first: F32, second: F32, shift: int, rate_hz: float) -> SameMoti
         Frame i of the second take is near frame i + shift of the first, up to one frame.
     rate_hz : float
         Frames per second of both takes.
+    support : tuple of int, optional
+        The frames [start, stop) of the second take for which the words support the alignment. If the poses are not
+        near there, the takes are not compared further.
 
     Returns
     -------
     SameMotion or None
         None if the interval is shorter than `MIN_DURATION_S` (and than `NEARLY_ALL` of the shorter take), or if its
-        poses differ by more than `RATIO` times the movement in `LAG_S`.
+        poses differ by more than noise explains.
+    """
+    if support is not None and not _supported(first, second, shift, *support):
+        return None
+    found = nearest_interval(first, second, shift, rate_hz)
+    return found if found is not None and found.within_noise else None
+
+
+def changes_of(match: SameMotion, frames: int, others: int) -> list[str]:
+    """Return what was done to a copy in time, in words of the view `duplicates`; an empty list for the same frames.
+
+    Parameters
+    ----------
+    match : SameMotion
+        What two takes have in common.
+    frames, others : int
+        The number of frames of the second take, which is the copy, and of the first one.
+    """
+    length = match.stop - match.start
+    changes = []
+    if length < NEARLY_ALL * frames:
+        changes.append("part")
+    elif length < NEARLY_ALL * others:
+        changes.append("trimmed")
+    if abs(match.pace - 1.0) * length > _DRIFT_FRAMES:
+        changes.append("another clock")
+    elif abs(match.shift - round(match.shift)) > _SHIFT_FRAMES:
+        changes.append("shifted")
+    return changes
+
+
+def nearest_interval(first: F32, second: F32, shift: int, rate_hz: float) -> SameMotion | None:
+    """Return the longest interval around an alignment in which the poses of two takes are near one another.
+
+    Parameters and return value are those of `same_motion`, apart from the decision by noise.
     """
     low, high = max(0, -shift), min(len(second), len(first) - shift)
     if high - low < 2:
         return None
-    moment = _moment(first, second, low, high, float(shift))
-    distances = _distances(first, second, low, high, moment)
-    begin, end = _longest(distances, NEAR_M, GAP_FRAMES)
+    warp = Warp(_moment(first, second, low, high, shift), 0.0, 0.0)
     shorter = min(len(first), len(second))
-    if end - begin < min(MIN_DURATION_S * rate_hz, NEARLY_ALL * shorter) or end - begin < 2:
+    begin, end = _near(first, second, low, high, warp)
+    if end - begin < max(2.0, min(SEED_S * rate_hz, NEARLY_ALL * shorter)):
         return None
-    start, stop = low + begin, low + end
-    lag = max(1, round(LAG_S * rate_hz))
-    moved = _distances(second, second, start, stop, float(lag))
-    inside = distances[begin:end]
-    distance = float(np.nanmean(inside))
-    span = float(np.nanmean(moved)) if np.isfinite(moved).any() else 0.0
-    if not distance <= max(RATIO * span, FLOOR_M):
+    for _ in range(_ROUNDS):
+        warp = _fitted(first, second, begin, end, warp)
+        length = end - begin
+        low, high = max(0, begin - length), min(len(second), end + length)
+        before, (begin, end) = (begin, end), _near(first, second, low, high, warp)
+        if end - begin <= length or (begin, end) == before:
+            break
+    if end - begin < max(2.0, min(MIN_DURATION_S * rate_hz, NEARLY_ALL * shorter)):
         return None
-    return SameMotion(start, stop, moment, distance)
+    errors = _errors(first, second, begin, end, *warp)
+    lag = max(1, min(round(LAG_S * rate_hz), (end - begin) // 2))
+    step = max(1, min(round(SPEED_S * rate_hz), end - begin - 1))
+    part = second[begin:end]
+    moved, around = part[step:] - part[:-step], part - _means(part)
+    return SameMotion(
+        begin, end, warp.at(begin), 1.0 + warp.pace, math.sqrt(_mean_product(errors, errors)),
+        math.sqrt(max(0.0, _mean_product(errors[lag:], errors[:-lag]))),
+        math.sqrt(_mean_product(moved, moved)) * rate_hz / step, math.sqrt(_mean_product(around, around)),
+    )  # fmt: skip
+
+
+def _means(poses: F32) -> F32:
+    """Return the mean pose (J, 3) over the frames in which each joint is known; NaN if it never is."""
+    known = np.isfinite(poses)
+    with np.errstate(invalid="ignore"):
+        mean: F32 = np.where(known, poses, 0).sum(axis=0) / known.sum(axis=0)
+    return mean
+
+
+def _mean_product(one: F32, other: F32) -> float:
+    """Return the mean scalar product of the vectors of joints that are known in both; 0 if there are none."""
+    products = (one.astype(np.float64) * other).sum(axis=2)
+    known = np.isfinite(products)
+    return float(products[known].mean()) if known.any() else 0.0
+
+
+def _near(first: F32, second: F32, low: int, high: int, warp: Warp) -> tuple[int, int]:
+    """Return the longest interval of near poses in [low, high)."""
+    begin, end = _longest(_distances(first, second, low, high, *warp), NEAR_M, GAP_FRAMES)
+    return low + begin, low + end
+
+
+def _fitted(first: F32, second: F32, begin: int, end: int, warp: Warp) -> Warp:
+    """Return the shift and the pace at which poses in an interval differ least, by Gauss and Newton."""
+    centre = 0.5 * (begin + end - 1)
+    warp = Warp(warp.at(centre), warp.pace, centre)
+    for _ in range(_TRIES):
+        square, along, across, right, left = _normal_equations(first, second, begin, end, *warp)
+        determinant = square * across - along * along
+        if not determinant > 1e-9 * square * across:
+            break
+        shift = (right * across - left * along) / determinant
+        pace = (left * square - right * along) / determinant
+        pace = min(max(warp.pace - pace, -MAX_PACE), MAX_PACE)
+        warp = Warp(warp.shift - min(max(shift, -1.0), 1.0), pace, centre)
+        if abs(shift) < 1e-4:
+            break
+    return warp
 
 
 @njit(cache=True, nogil=True)
-def _moment(first: F32, second: F32, low: int, high: int, shift: float) -> float:
-    """Return the shift, to a thousandth of a frame, at which poses differ least; distances are clipped at `NEAR_M`."""
-    best, least = shift, _cost(first, second, low, high, shift)
-    for step in range(-_STEPS, _STEPS + 1):
-        cost = _cost(first, second, low, high, shift + step / _STEPS)
+def _moment(first: F32, second: F32, low: int, high: int, shift: int) -> float:
+    """Return the shift, to half a frame, at which poses differ least, up to a frame from a given one."""
+    best, least = float(shift), np.inf
+    for step in range(-2, 3):
+        cost = _cost(first, second, low, high, shift + 0.5 * step)
         if cost < least:
-            best, least = shift + step / _STEPS, cost
-    width = 0.5 / _STEPS
-    while width > 0.0005:
-        middle = best
-        for tried in (middle - width, middle + width):
-            cost = _cost(first, second, low, high, tried)
-            if cost < least:
-                best, least = tried, cost
-        width /= 2.0
+            best, least = shift + 0.5 * step, cost
     return best
 
 
@@ -158,55 +254,191 @@ def _moment(first: F32, second: F32, low: int, high: int, shift: float) -> float
 def _cost(first: F32, second: F32, low: int, high: int, shift: float) -> float:
     """Return the mean distance of poses, clipped at `NEAR_M`, in frames that are evenly spread over an interval."""
     stride = max(1, (high - low) // MAX_SAMPLED_FRAMES)
-    weights = _weights(shift)
     total, count = 0.0, 0
     for t in range(low, high, stride):
-        distance = _distance(first, second, t, shift, weights)
+        distance = _distance(first, second, t, t + shift)
         total += distance if distance < NEAR_M else NEAR_M
         count += 1
     return total / count
 
 
 @njit(cache=True, nogil=True)
-def _distances(first: F32, second: F32, low: int, high: int, shift: float) -> F64:
-    """Return the mean distance of the joints in frames [low, high) of the second take; NaN outside of the first."""
-    weights = _weights(shift)
+def _distances(first: F32, second: F32, low: int, high: int, shift: float, pace: float, centre: float) -> F64:
+    """Return the distance of poses in frames [low, high) of the second take; NaN outside of the first."""
     result = np.empty(high - low)
     for t in range(low, high):
-        result[t - low] = _distance(first, second, t, shift, weights)
+        result[t - low] = _distance(first, second, t, t + shift + pace * (t - centre))
     return result
 
 
 @njit(cache=True, nogil=True)
-def _weights(shift: float) -> tuple[float, float, float, float]:
-    """Return the weights of four frames in a Catmull–Rom spline between the middle two."""
-    f = shift - math.floor(shift)
-    g = 1.0 - f
-    return -0.5 * f * g * g, 1.0 - f * f * (2.5 - 1.5 * f), 1.0 - g * g * (2.5 - 1.5 * g), -0.5 * g * f * f
+def _place(first: F32, j: int, x: int, at: int, f: float) -> float:
+    """Return a coordinate at a share of the way between frames `at` and at + 1, by a Catmull–Rom spline."""
+    if f == 0.0:
+        return np.float64(first[at, j, x])
+    last, g = len(first) - 1, 1.0 - f
+    place = (1.0 - f * f * (2.5 - 1.5 * f)) * first[at, j, x] + (1.0 - g * g * (2.5 - 1.5 * g)) * first[at + 1, j, x]
+    place -= 0.5 * f * g * g * first[max(at - 1, 0), j, x] + 0.5 * g * f * f * first[min(at + 2, last), j, x]
+    return place
 
 
 @njit(cache=True, nogil=True)
-def _distance(first: F32, second: F32, t: int, shift: float, weights: tuple[float, float, float, float]) -> float:
-    """Return the mean distance of the joints in frame t of the second take; NaN outside of the first."""
-    last = len(first) - 1
-    whole = math.floor(shift)
-    at = t + whole
-    if at < 0 or at > last or (at == last and shift > whole):
+def _within(moment: float, last: int) -> tuple[int, float]:
+    """Return the frame before a moment and the share of a frame after it; frame −1 outside of the take."""
+    if -_OUTSIDE <= moment <= 0.0:
+        return 0, 0.0
+    if last <= moment <= last + _OUTSIDE:
+        return last, 0.0
+    at = math.floor(moment)
+    return (at, moment - at) if 0 <= at < last else (-1, 0.0)
+
+
+@njit(cache=True, nogil=True)
+def _distance(first: F32, second: F32, t: int, moment: float) -> float:
+    """Return the root mean square distance of the joints in frame t of the second take and at a moment of the first.
+
+    The first pose is moved, and turned about the vertical, to where it is nearest. The result is NaN outside of the
+    first take.
+    """
+    at, f = _within(moment, len(first) - 1)
+    if at < 0:
         return np.nan
-    before, after, later = max(at - 1, 0), min(at + 1, last), min(at + 2, last)
-    total, count = 0.0, 0
+    count, squares, dot, cross, upright = 0, 0.0, 0.0, 0.0, 0.0
+    px, py, pz, qx, qy, qz = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
     for j in range(first.shape[1]):
-        square = 0.0
-        for x in range(3):
-            place = weights[1] * first[at, j, x]
-            if shift > whole:
-                place += weights[0] * first[before, j, x] + weights[2] * first[after, j, x]
-                place += weights[3] * first[later, j, x]
-            square += (place - second[t, j, x]) ** 2
-        if square == square:
-            total += math.sqrt(square)
+        x, y, z = _place(first, j, 0, at, f), _place(first, j, 1, at, f), _place(first, j, 2, at, f)
+        u, v, w = np.float64(second[t, j, 0]), np.float64(second[t, j, 1]), np.float64(second[t, j, 2])
+        if x + y + z + u + v + w == x + y + z + u + v + w:
             count += 1
-    return total / count if count else np.nan
+            px, py, pz, qx, qy, qz = px + x, py + y, pz + z, qx + u, qy + v, qz + w
+            squares += x * x + y * y + z * z + u * u + v * v + w * w
+            dot += x * u + z * w
+            cross += x * w - z * u
+            upright += y * v
+    if count == 0:
+        return np.nan
+    squares -= (px * px + py * py + pz * pz + qx * qx + qy * qy + qz * qz) / count
+    dot -= (px * qx + pz * qz) / count
+    cross -= (px * qz - pz * qx) / count
+    upright -= py * qy / count
+    return math.sqrt(max(0.0, squares - 2.0 * (upright + math.hypot(dot, cross))) / count)
+
+
+@njit(cache=True, nogil=True)
+def _turned(first: F32, second: F32, t: int, moment: float, errors: F64, slopes: F64) -> bool:
+    """Write the differences of joints at a moment, and how they change with it; return whether the moment is known.
+
+    The first pose is moved and turned as in `_distance`.
+    """
+    last = len(first) - 1
+    at, f = _within(moment, last)
+    if at < 0:
+        return False
+    count, joints = 0, first.shape[1]
+    means = np.zeros(9)
+    for j in range(joints):
+        total = 0.0
+        for x in range(3):
+            errors[j, x] = _place(first, j, x, at, f)
+            slopes[j, x] = first[min(at + 1, last), j, x] - first[at if at < last else at - 1, j, x]
+            total += errors[j, x] + slopes[j, x] + second[t, j, x]
+        if total == total:
+            count += 1
+            for x in range(3):
+                means[x] += errors[j, x]
+                means[3 + x] += second[t, j, x]
+                means[6 + x] += slopes[j, x]
+        else:
+            errors[j, 0] = np.nan
+    if count == 0:
+        return False
+    means /= count
+    dot, cross = 0.0, 0.0
+    for j in range(joints):
+        if errors[j, 0] == errors[j, 0]:
+            x, z = errors[j, 0] - means[0], errors[j, 2] - means[2]
+            u, w = second[t, j, 0] - means[3], second[t, j, 2] - means[5]
+            dot += x * u + z * w
+            cross += x * w - z * u
+    length = math.hypot(dot, cross)
+    cosine, sine = (dot / length, cross / length) if length > 0.0 else (1.0, 0.0)
+    for j in range(joints):
+        if errors[j, 0] == errors[j, 0]:
+            x, z = errors[j, 0] - means[0], errors[j, 2] - means[2]
+            errors[j, 1] += means[4] - means[1] - second[t, j, 1]
+            errors[j, 0] = cosine * x - sine * z + means[3] - second[t, j, 0]
+            errors[j, 2] = sine * x + cosine * z + means[5] - second[t, j, 2]
+            x, z = slopes[j, 0] - means[6], slopes[j, 2] - means[8]
+            slopes[j, 0], slopes[j, 1], slopes[j, 2] = (
+                cosine * x - sine * z,
+                slopes[j, 1] - means[7],
+                sine * x + cosine * z,
+            )
+        else:
+            errors[j] = np.nan
+    return True
+
+
+@njit(cache=True, nogil=True)
+def _errors(first: F32, second: F32, begin: int, end: int, shift: float, pace: float, centre: float) -> F32:
+    """Return the differences of joints (T, J, 3) in frames [begin, end) of the second take.
+
+    They are NaN where unknown, and in the frames whose poses are not near, which interrupt the interval.
+    """
+    joints = first.shape[1]
+    result = np.full((end - begin, joints, 3), np.nan, np.float32)
+    errors, slopes = np.empty((joints, 3)), np.empty((joints, 3))
+    for t in range(begin, end):
+        moment = t + shift + pace * (t - centre)
+        if _distance(first, second, t, moment) <= NEAR_M and _turned(first, second, t, moment, errors, slopes):
+            result[t - begin] = errors
+    return result
+
+
+@njit(cache=True, nogil=True)
+def _supported(first: F32, second: F32, shift: int, start: int, stop: int) -> bool:
+    """Return whether half of some frames in [start, stop) have near poses, at a shift up to a frame more or less."""
+    stride = max(1, (stop - start) // _PROBED)
+    for step in range(-2, 3):
+        near, count = 0, 0
+        for t in range(start, stop, stride):
+            if 0 <= t < len(second):
+                count += 1
+                near += _distance(first, second, t, t + shift + 0.5 * step) <= NEAR_M
+        if count and 2 * near >= count:
+            return True
+    return False
+
+
+@njit(cache=True, nogil=True)
+def _normal_equations(
+    first: F32, second: F32, begin: int, end: int, shift: float, pace: float, centre: float
+) -> tuple[float, float, float, float, float]:
+    """Return the sums of squared slopes times 1, τ and τ², and of slopes times errors times 1 and τ; τ = t − centre.
+
+    Frames whose poses are not near do not count.
+    """
+    joints = first.shape[1]
+    errors, slopes = np.empty((joints, 3)), np.empty((joints, 3))
+    square, along, across, right, left = 0.0, 0.0, 0.0, 0.0, 0.0
+    stride = max(1, (end - begin) // (2 * MAX_SAMPLED_FRAMES))
+    for t in range(begin, end, stride):
+        if not _turned(first, second, t, t + shift + pace * (t - centre), errors, slopes):
+            continue
+        count, far, own, product = 0, 0.0, 0.0, 0.0
+        for j in range(joints):
+            if errors[j, 0] == errors[j, 0]:
+                count += 1
+                for x in range(3):
+                    far += errors[j, x] ** 2
+                    own += slopes[j, x] ** 2
+                    product += slopes[j, x] * errors[j, x]
+        if count == 0 or far > count * NEAR_M**2:
+            continue
+        tau = t - centre
+        square, along, across = square + own, along + own * tau, across + own * tau * tau
+        right, left = right + product, left + product * tau
+    return square, along, across, right, left
 
 
 @njit(cache=True, nogil=True)

@@ -15,11 +15,12 @@ import xxhash
 from kinedex.ops.arrays import F32, I64
 from kinedex.ops.cache import Cache
 from kinedex.ops.duplicates.alignments import find_alignments, plausible
-from kinedex.ops.duplicates.same_motion import NEARLY_ALL, local_poses, same_motion
+from kinedex.ops.duplicates.poses import TakePoses
+from kinedex.ops.duplicates.same_motion import NEARLY_ALL, SameMotion, changes_of, same_motion
 from kinedex.ops.intervals import in_seconds
 from kinedex.ops.search.runs import word_runs
 from kinedex.ops.wording import counted
-from kinedex.ops.words import TakeWords
+from kinedex.ops.words import NO_WORD, TakeWords
 from kinedex.pipelines.engine.display import Display, Progress, no_progress
 from kinedex.storage.snapshot.parts import joint_positions
 from kinedex.storage.snapshot.schemas import result_schema
@@ -35,12 +36,9 @@ HELD_BYTES = 512 * 2**20
 CACHED_BYTES = 256 * 2**20
 """The largest size, in bytes, of the cache of poses."""
 
-_FRAMES = (("root", "lhip", "rhip"), ("neck", "lshoulder", "rshoulder"))
-"""The joints that define position and direction of poses: those of the pelvis, or otherwise of the shoulders."""
-
-
-Candidate = tuple[int, int, int, bool]
-"""A possible alignment of two takes: both names, the shift in frames, and whether the second is mirrored."""
+Candidate = tuple[int, int, int, bool, int, int]
+"""A possible alignment of two takes: both numbers, the shift in frames, whether the second is mirrored, and the frames
+of the second that support it."""
 
 
 def find_duplicates(store: Snapshot, display: Display) -> pa.Table:
@@ -65,6 +63,13 @@ def find_duplicates(store: Snapshot, display: Display) -> pa.Table:
     """
     rows, kept = _same_files(store)
     rows += _same_motions(store, kept, display.progress)
+    rates = dict(
+        zip(*(store.take_columns(one).column(0).to_pylist() for one in ("name", "source_rate_hz")), strict=True)
+    )
+    for row in rows:
+        if row["same"] == "motion" and rates[row["take"]] != rates[row["of_take"]]:
+            row["changes"].append("resampled")
+        row["changes"] = ", ".join(row["changes"]) or ("same file" if row["same"] == "file" else "same frames")
     rows.sort(key=lambda row: (row["take"], row["of_take"], row["start"]))
     schema = result_schema("duplicates")
     return pa.Table.from_pylist(rows, schema=schema.remove(schema.get_field_index("run")))
@@ -136,7 +141,7 @@ def _same_files(store: Snapshot) -> tuple[list[dict[str, Any]], list[str]]:
         other = first.setdefault((*file, read.get(take_id)), name)
         if other != name:
             count = store.take_frames[store.take_id(name)]
-            found.append(_row(store, name, other, "file", (0, count), 0.0, False, 0.0))
+            found.append(_row(store, name, other, "file", SameMotion(0, count, 0.0, 1.0, 0.0, 0.0, 0.0, 0.0)))
     return found, list(first.values())
 
 
@@ -150,11 +155,11 @@ def _same_motions(store: Snapshot, names: list[str], progress: Progress) -> list
     with progress("comparing takes", len(found)) as bar:
         for group in _blocks(found, words.frames * len(store.feature_set.joints) * 12):
             poses.hold({ordered[take] for one, two, *_ in group for take in (one, two)})
-            for one, two, shift, image in group:
-                row = _common(store, poses, ordered[one], ordered[two], shift, image)
+            for one, two, *alignment in group:
+                row = _common(store, poses, ordered[one], ordered[two], *alignment)
                 bar.advance()
                 if row is not None:
-                    key = (row["take"], row["of_take"], image)
+                    key = (row["take"], row["of_take"], row["mirrored"])
                     if key not in best or row["stop"] - row["start"] > best[key]["stop"] - best[key]["start"]:
                         best[key] = row
     return list(best.values())
@@ -162,18 +167,20 @@ def _same_motions(store: Snapshot, names: list[str], progress: Progress) -> list
 
 def _candidates(store: Snapshot, words: TakeWords, progress: Progress) -> list[Candidate]:
     """Return possible alignments of the same motion according to the words, in order of the takes."""
-    runs = word_runs(words.words, words.offsets)
     mirrored = store.feature_set.mirrored if store.feature_set.mirror else lambda _: None
-    run_images, images = mirrored(runs.word), mirrored(words.words)
-    found: list[Candidate] = []
-    with progress("comparing words", len(words)) as bar:
-        done = 0
-        for block in find_alignments(runs, run_images):
-            kept = plausible(words.words, words.offsets, images, block, store.rate_hz)
-            found += zip(*(column[kept].tolist() for column in block[:4]), strict=True)
-            bar.advance(int(block.first[-1]) - done)
-            done = int(block.first[-1])
-    return found
+    steady = np.where(words.words == NO_WORD, NO_WORD, words.words & np.uint64(store.feature_set.steady))
+    images = mirrored(steady)
+    found: dict[tuple[int, int, int, bool], tuple[int, int]] = {}
+    with progress("comparing words", 2 * len(words)) as bar:
+        for sought in (words.words, steady):
+            runs, done = word_runs(sought, words.offsets), 0
+            for block in find_alignments(runs, mirrored(runs.word)):
+                kept = plausible(steady, words.offsets, images, block, store.rate_hz)
+                one, two, shift, image, _, start, stop = (column[kept].tolist() for column in block)
+                found.update(zip(zip(one, two, shift, image, strict=True), zip(start, stop, strict=True), strict=True))
+                bar.advance(int(block.first[-1]) - done)
+                done = int(block.first[-1])
+    return [(*alignment, *support) for alignment, support in sorted(found.items())]
 
 
 def _blocks(found: Sequence[Candidate], sizes: I64) -> Iterator[list[Candidate]]:
@@ -187,30 +194,38 @@ def _blocks(found: Sequence[Candidate], sizes: I64) -> Iterator[list[Candidate]]
         yield list(group)
 
 
-def _common(store: Snapshot, poses: _Poses, one: str, two: str, shift: int, image: bool) -> dict[str, Any] | None:
+def _common(
+    store: Snapshot, poses: _Poses, one: str, two: str, shift: int, image: bool, start: int, stop: int
+) -> dict[str, Any] | None:
     """Return the row of two takes at an alignment; None if their motion differs."""
     frames = store.take_frames
     lengths = {name: frames[store.take_id(name)] for name in (one, two)}
     other, take = sorted((one, two), key=lambda name: (-lengths[name], name))
-    near = shift if other == one else -shift
-    match = same_motion(poses.of(other, False), poses.of(take, image), near, store.rate_hz)
+    near, support = (shift, (start, stop)) if other == one else (-shift, (start + shift, stop + shift))
+    first, second = poses.of(other, False), poses.of(take, image)
+    match, body = same_motion(first.own, second.own, near, store.rate_hz, support), False
+    if match is None and not first.is_on_body_of(second):
+        body = True
+        match = same_motion(first.on_ordinary_body, second.on_ordinary_body, near, store.rate_hz, support)
     if match is None:
         return None
-    return _row(store, take, other, "motion", (match.start, match.stop), match.shift, image, match.distance_m)
+    return _row(store, take, other, "motion", match, image, body)
 
 
 def _row(
-    store: Snapshot, take: str, other: str, same: str, interval: tuple[int, int], shift: float, image: bool, far: float
+    store: Snapshot, take: str, other: str, same: str, match: SameMotion, image: bool = False, body: bool = False
 ) -> dict[str, Any]:
     """Return a row of the view `duplicates`."""
-    start, stop = interval
-    frames = store.take_frames[store.take_id(take)]
+    start, stop = match.start, match.stop
+    frames, others = (store.take_frames[store.take_id(name)] for name in (take, other))
+    changes = changes_of(match, frames, others)
+    changes += ["mirrored"] * image + ["another body"] * body
     return {
         "take_id": store.take_id(take), "take": take, "of_take_id": store.take_id(other), "of_take": other,
-        "same": same, "start": start, "stop": stop,
+        "same": same, "changes": changes, "start": start, "stop": stop,
         "start_seconds": in_seconds(start, store.rate_hz), "stop_seconds": in_seconds(stop, store.rate_hz),
-        "share": (stop - start) / frames, "shift_seconds": in_seconds(shift, store.rate_hz), "mirrored": image,
-        "distance_mm": 1000.0 * far,
+        "share": (stop - start) / frames, "shift_seconds": in_seconds(match.shift, store.rate_hz),
+        "pace": match.pace, "mirrored": image, "distance_mm": 1000.0 * match.distance_m,
     }  # fmt: skip
 
 
@@ -221,7 +236,7 @@ class _Poses:
         self._store = store
         self._joints = list(store.feature_set.joints)
         self._held: dict[str, F32] = {}
-        self._cached: Cache[tuple[str, bool], F32] = Cache(CACHED_BYTES, lambda poses: poses.nbytes, least=2)
+        self._cached: Cache[tuple[str, bool], TakePoses] = Cache(CACHED_BYTES, lambda poses: poses.nbytes, least=2)
 
     def hold(self, takes: set[str]) -> None:
         """Hold the joint positions of the given takes in memory, and free all others."""
@@ -229,29 +244,9 @@ class _Poses:
         for take, frames in self._store.frames_of(takes - self._held.keys()):
             self._held[take] = np.ascontiguousarray(joint_positions(frames, self._joints).transpose(2, 0, 1))
 
-    def of(self, take: str, mirrored: bool) -> F32:
-        """Return the poses of a take held in memory, or of its mirror image; see `local_poses`."""
+    def of(self, take: str, mirrored: bool) -> TakePoses:
+        """Return the poses of a take held in memory, or of its mirror image."""
         kept = self._cached.get((take, mirrored))
-        return self._cached.put((take, mirrored), self._local(take, mirrored)) if kept is None else kept
-
-    def _local(self, take: str, mirrored: bool) -> F32:
-        joints, positions = self._joints, self._held[take]
-        frame = next(self._turned_by(joints, positions), [0, 0, 0])
-        if mirrored:
-            positions = positions[:, [joints.index(_other_side(joint, joints)) for joint in joints]]
-        return local_poses(np.ascontiguousarray(positions), *frame, mirrored=mirrored)
-
-    @staticmethod
-    def _turned_by(joints: list[str], positions: F32) -> Iterator[list[int]]:
-        """Yield the indices of joints that define a direction in at least one frame, those of the pelvis first."""
-        for names in _FRAMES:
-            if all(name in joints for name in names):
-                found = [joints.index(name) for name in names]
-                if np.isfinite(positions[:, found]).any():
-                    yield found
-
-
-def _other_side(joint: str, joints: list[str]) -> str:
-    """Return the joint of the other side of the body; a joint in the middle is returned unchanged."""
-    other = {"l": "r", "r": "l"}.get(joint[:1], "") + joint[1:]
-    return other if other in joints else joint
+        if kept is None:
+            kept = self._cached.put((take, mirrored), TakePoses(self._held[take], self._joints, mirrored))
+        return kept

@@ -104,3 +104,13 @@ def test_a_window_that_is_no_time_is_refused_with_its_line(tmp_path: Path, windo
     path.write_text(re.sub(r"window_ms: \w+", f"window_ms: {window}", text, count=1))
     with pytest.raises(ConfigError, match=rf"mine.yaml:\d+: .*window_ms {message}"):
         load_feature_set(path)
+
+
+def test_noise_hardly_changes_steady_features() -> None:
+    unsteady = BODY.named(BODY.every_bit & ~BODY.steady)
+    assert unsteady == [
+        "rhand_from_root", "lhand_from_root", "rhand_fast", "lhand_fast", "rfoot_fast", "lfoot_fast", "root_fast",
+        "root_turning",
+    ]  # fmt: skip
+    words = np.array([BODY.steady], np.uint64)
+    assert np.array_equal(BODY.mirrored(words), words)  # mirrored copies have the same features

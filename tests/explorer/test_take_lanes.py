@@ -81,7 +81,7 @@ def full(tmp_path_factory: pytest.TempPathFactory) -> Store:
         "hits": [{**at, "saved_as": "mine", "query": "steps"}],
         "ranked_hits": [{**at, "template": "walk", "rank": 2, "cost": 0.05}],
         "ground_truth": [{**at, "class": "walk", "origin": "truth.csv"}],
-        "duplicates": [{**at, "of_take_id": 7, "of_take": "bob_1", "same": "motion", "share": 0.5, "mirrored": False}],
+        "duplicates": [{**at, "of_take_id": 7, "of_take": "bob_1", "same": "motion", "changes": "part"}],
         "limb_error_runs": [{**limb, "kind": "distance", "peak_deg": 80.0, "tau_deg": 30.0}],
         "limb_labels": [{**limb, "annotator": None}, {**limb, "annotator": "eve"}],
         "limb_errors": [
@@ -146,7 +146,8 @@ def test_every_kind_of_results_has_its_lane_in_frames_of_the_analysis(full: Stor
     assert lanes["compared/s, f, best"] == [{"class": "walk", "start": 1, "stop": 9, "confidence": 0.25}]
     assert lanes["hits/mine"][0]["class"] == "steps"
     assert (lanes["hits/Ranked hits"][0]["class"], lanes["hits/Ranked hits"][0]["rank"]) == ("walk", 2)
-    assert lanes["duplicates/Also in another take"][0]["class"] == "bob_1"
+    (copy,) = lanes["duplicates/Also in another take"]
+    assert (copy["class"], copy["changes"]) == ("bob_1", "part")
     (error,) = lanes["limbs/errors/lshank"]
     assert (error["start"], error["stop"], error["class"], error["peak_deg"]) == (3, 15, "distance", 80.0)
     assert {one["class"] for one in lanes["limbs/marked/lshank"]} == {"wrong", "eve"}

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections import Counter
 from itertools import pairwise
 
@@ -10,7 +11,16 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from kinedex.ops.arrays import U64
-from kinedex.ops.duplicates.alignments import FEW, FEW_RUNS, KEPT, LENGTH, SHORT, Alignments, find_alignments
+from kinedex.ops.duplicates.alignments import (
+    FEW,
+    FEW_RUNS,
+    FEWEST_RUNS,
+    KEPT,
+    LENGTH,
+    SHORT,
+    Alignments,
+    find_alignments,
+)
 from kinedex.ops.search.runs import WordRuns, word_runs
 from kinedex.ops.words import NO_WORD
 
@@ -40,7 +50,7 @@ def naive_sequences(words: list[int], length: int) -> list[tuple[tuple[int, ...]
     for i in range(len(runs) - length + 1):
         part = runs[i : i + length]
         if all(one[2] == other[1] for one, other in pairwise(part)):
-            found.append((tuple(run[0] for run in part), part[-1 if length == 1 else 1][1]))
+            found.append((tuple(run[0] for run in part), part[min(1, length - 1)][1]))
     return found
 
 
@@ -48,10 +58,10 @@ def naive_votes(takes: list[list[int]]) -> Counter[tuple[int, int, int]]:
     """Return how many sequences support each (first take, second take, shift)."""
     votes: Counter[tuple[int, int, int]] = Counter()
     counts = [len(naive_sequences(words, 1)) for words in takes]
-    for length in (LENGTH, SHORT):
+    for length in (LENGTH, SHORT, 1):
         for a, first in enumerate(takes):
             for b in range(a + 1, len(takes)):
-                if length == SHORT and min(counts[a], counts[b]) >= FEW_RUNS:
+                if min(counts[a], counts[b]) >= {LENGTH: math.inf, SHORT: FEW_RUNS, 1: FEWEST_RUNS}[length]:
                     continue
                 for one, i in naive_sequences(first, length):
                     for other, j in naive_sequences(takes[b], length):
@@ -68,7 +78,7 @@ def test_alignments_are_those_of_the_twin(takes: list[list[int]]) -> None:
     offsets = np.cumsum([0, *map(len, takes)])
     found = alignments(word_runs(words, offsets))
     votes = naive_votes(takes)
-    frequent = Counter(s for take in takes for length in (SHORT, LENGTH) for s, _ in naive_sequences(take, length))
+    frequent = Counter(s for take in takes for length in (1, SHORT, LENGTH) for s, _ in naive_sequences(take, length))
     if frequent and max(frequent.values()) > FEW:
         return
     expected = {}

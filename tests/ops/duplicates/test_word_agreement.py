@@ -22,13 +22,15 @@ def naive(first: list[int], second: list[int], shift: int, start: int, stop: int
         return 8 if (one == int(NO_WORD)) != (two == int(NO_WORD)) else (one ^ two).bit_count()
 
     low, high = max(0, -shift, start - frames), min(len(second), len(first) - shift, stop + frames)
-    length, best = min(frames, high - low), math.inf
+    length, best, equal = min(frames, high - low), math.inf, False
     for begin in range(low, high - length + 1):
         here = range(begin, begin + length)
         change = sum(bits(second[t], second[min(t + LAG_FRAMES, len(second) - 1)]) for t in here)
+        differ = sum(bits(first[t + shift], second[t]) for t in here)
+        equal |= length > 0 and not differ
         if change:
-            best = min(best, sum(bits(first[t + shift], second[t]) for t in here) / change)
-    return best
+            best = min(best, differ / change)
+    return 0.0 if equal and math.isinf(best) else best
 
 
 def at(shift: int, start: int, stop: int, votes: int = 2) -> Alignments:

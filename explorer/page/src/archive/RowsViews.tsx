@@ -32,7 +32,8 @@ function take(key: string, title: string): GridColumn<Row> {
 const DUPLICATES: GridColumn<Row>[] = [
   take("take", "take"),
   take("of_take", "holds the motion of"),
-  text("same", "same", 90),
+  // rows of earlier versions have no changes
+  { key: "changes", title: "copy", width: 200, cell: (row) => shown(row.changes ?? row.same) },
   {
     key: "share",
     title: "share",
@@ -42,8 +43,13 @@ const DUPLICATES: GridColumn<Row>[] = [
   },
   text("start_seconds", "from s", 90, true),
   text("stop_seconds", "to s", 90, true),
-  text("shift_seconds", "shift s", 90, true),
-  { key: "mirrored", title: "mirrored", width: 90, cell: (row) => (row.mirrored === true ? "yes" : "") },
+  {
+    key: "shift_seconds",
+    title: "shift ms",
+    width: 90,
+    numeric: true,
+    cell: (row) => (typeof row.shift_seconds === "number" ? shown(1000 * row.shift_seconds) : ""),
+  },
   text("distance_mm", "distance mm", 110, true),
 ];
 
@@ -85,7 +91,7 @@ export function DuplicatesView() {
         ) : (
           <>
             Nobody has looked for duplicates yet. <Code>{found.data?.command}</Code> finds copies of files and of motions,
-            also cut, moved, turned or mirrored ones; this page shows them as soon as it is done.
+            also trimmed, resampled, moved, mirrored or noisy ones and those of another body; this page shows them as soon as it is done.
           </>
         )
       }
