@@ -85,6 +85,16 @@ DOCUMENTS: dict[str, dict[str, str]] = {
         for name in ("import", "add", "change", "remove", "accept", "reject")
     },
     "labels list": {**_STORE, "labels": "rows of the view `labels`, or of `label_history`"},
+    "explain": {
+        **_STORE,
+        "take": "name of the take",
+        "label": "the class that is explained",
+        "other": "the most probable other class, which it is compared with",
+        "probability": "probability of the class, not calibrated",
+        "other_probability": "probability of the other class",
+        "evidence": "difference of the log densities of both classes",
+        "reasons": "for each quantity what `--format json` shows",
+    },
     "labels suspects": {
         **_STORE,
         "judged": "number of labels that were judged",

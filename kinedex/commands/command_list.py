@@ -46,6 +46,7 @@ COMMANDS = {
     "export": Listed(ASK, "export", "Write takes, or clips cut out of them, as files."),
     "takes": Listed(ASK, "tables store_changes", "List the takes of a store: `kinedex takes STORE`; remove some."),
     "labels": Listed(ASK, "labels", "Keep the labels of people; write and read label files."),
+    "explain": Listed(ASK, "explanations", "Explain which class an interval of a take shows, by quantities."),
     "template": Listed(ASK, "ranking", "Show, compare and make motion templates."),
     "search": Listed(SEARCH, "queries", "Search for keyframe queries with the index."),
     "rank": Listed(SEARCH, "ranking", "Rank the intervals of an archive by how well templates fit."),

@@ -3,17 +3,14 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterator, Sequence
 from typing import Any, NamedTuple
 
-import numpy as np
 import pyarrow as pa
 
-from kinedex.ops.numeric.label_suspects import Judgement, Place, Window, context_of, judge_labels
+from kinedex.library.described_labels import taught_labels, windows_of
+from kinedex.ops.numeric.label_suspects import Judgement, Place, context_of, judge_labels
 from kinedex.ops.wording import counted
-from kinedex.pipelines.templates.examples import CLIPS, LABELS, Example, ExampleParameters, examples_of
-from kinedex.storage.snapshot.frames import read_intervals
-from kinedex.storage.snapshot.parts import joint_positions
+from kinedex.pipelines.templates.examples import Example
 from kinedex.storage.store.store import Store
 
 SUSPECTS_SCHEMA = pa.schema(
@@ -66,15 +63,13 @@ def label_suspects(store: Store) -> Suspects:
     store : Store
         The store that holds takes and labels.
     """
-    chosen = examples_of(
-        store,
-        ExampleParameters(where="class IS NOT NULL", examples=[LABELS, CLIPS], labels_where="true"),
-        required=False,
-    )
+    chosen = taught_labels(store)
     labels = [one for one in chosen.examples if one.positive]
+    places = [(one.take_id, one.start, one.stop) for one in labels]
+    around = [(one.take_id, *context_of(one.start, one.stop, one.frames)) for one in labels]
     judgements = judge_labels(
         [Place(one.take_id, one.label) for one in labels],
-        lambda: _windows(store, labels),
+        lambda: windows_of(store, places, around),
         store.feature_set.joints,
         store.rate_hz,
     )
@@ -85,17 +80,6 @@ def label_suspects(store: Store) -> Suspects:
     remarks = [f"{counted(count, 'label')} not judged: {reason}" for reason, count in reasons.most_common()]
     table = pa.Table.from_pylist(rows, schema=SUSPECTS_SCHEMA)
     return Suspects(table, len(labels) - reasons.total(), (*chosen.remarks, *remarks))
-
-
-def _windows(store: Store, labels: Sequence[Example]) -> Iterator[tuple[int, Window]]:
-    """Yield the number and the window of each label, in the order of the store's parts."""
-    parts = [context_of(one.start, one.stop, one.frames) for one in labels]
-    intervals = [(one.take_id, *part) for one, part in zip(labels, parts, strict=True)]
-    joints = store.feature_set.joints
-    for number, table in read_intervals(store.checked, store.manifest, intervals, joints):
-        positions = joint_positions(table, joints).transpose(2, 0, 1).astype(np.float64)
-        before, one = parts[number][0], labels[number]
-        yield number, Window(positions, one.start - before, one.stop - before)
 
 
 def _row(label: Example, found: Judgement, ids: dict[tuple[str, str, int, int], str]) -> dict[str, Any]:

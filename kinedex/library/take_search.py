@@ -123,6 +123,54 @@ class TakeSearch(TakeCollection):
             }
         )
 
+    def explain(
+        self, take: str | int | Take, start: int | None = None, stop: int | None = None, *, label: str | None = None
+    ) -> pl.DataFrame:
+        """Explain by quantities which class an interval of a take shows.
+
+        The class is compared with the most probable of the others. Examples are the labels of people, and takes with a
+        class; those of this take are left out, unless a class has no others.
+
+        Parameters
+        ----------
+        take : str, int or Take
+            The take.
+        start, stop : int, optional
+            The frames [start, stop); by default the whole take.
+        label : str, optional
+            The class to explain; by default the most probable one.
+
+        Returns
+        -------
+        polars.DataFrame
+            A row for each quantity, those that say most first: ``class`` and ``other``, with ``probability`` and
+            ``other_probability``, which are not calibrated; ``speaks`` ("for" or "against" the class); ``text``;
+            ``quantity``, ``unit`` and ``value``; the tenth and ninetieth percentiles of the examples, ``low`` and
+            ``high`` of the class, ``other_low`` and ``other_high``; ``below``, the share of its examples that have
+            less; and ``share``, the part of the difference of log densities.
+
+        Raises
+        ------
+        KinedexError
+            There is no such class, the interval is not within the take, its body cannot be described, or fewer than two
+            classes have examples.
+
+        Examples
+        --------
+        >>> store.explain(take).select("class", "speaks", "quantity", "text").columns
+        ['class', 'speaks', 'quantity', 'text']
+        """
+        import polars as pl
+
+        from kinedex.library.described_labels import explain_interval, reasons_table
+
+        name = self._row(take)["name"]
+        found = explain_interval(self.stored, name, start, stop, label)
+        facts = [found.label, found.other, found.probability, found.other_probability]
+        names = ["class", "other", "probability", "other_probability"]
+        columns = [pl.lit(value).alias(column) for column, value in zip(names, facts, strict=True)]
+        return data_frame(reasons_table(found)).select(*columns, pl.all())
+
     def templates(self, *, stage: str | None = None) -> pl.DataFrame:
         """Return the list of the templates that pipelines have learned.
 

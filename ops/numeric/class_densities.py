@@ -14,6 +14,9 @@ import numpy as np
 from kinedex.ops.arrays import F64, I64
 from kinedex.ops.numeric.discriminant import SHRINKAGE, shrunk
 
+TEMPERATURE = 3.0
+"""The divisor of log densities in probabilities, since numbers that vary together make them too certain."""
+
 
 @dataclass(frozen=True)
 class ClassDensities:
@@ -44,6 +47,26 @@ class ClassDensities:
         """Return descriptors (S, D) as rows whose covariance within classes is the identity."""
         whitened: F64 = (descriptors - self.centre) / self.scale @ self.whitening
         return whitened
+
+    def shares(self, descriptor: F64, one: int, other: int) -> F64:
+        """Return the share of each number of a descriptor in the evidence for one class against another.
+
+        Parameters
+        ----------
+        descriptor : float64 array (D,)
+            The descriptor.
+        one, other : int
+            Two classes with examples.
+
+        Returns
+        -------
+        float64 array (D,)
+            The shares, whose sum is half the squared distance to the other class less that to the one.
+        """
+        difference, middle = self.means[one] - self.means[other], 0.5 * (self.means[one] + self.means[other])
+        away = (descriptor - self.centre) / self.scale - np.linalg.solve(self.whitening.T, middle)
+        shares: F64 = away * (self.whitening @ difference)
+        return shares
 
 
 class ClassSums:

@@ -2,7 +2,7 @@
 
 Each label is judged by what the labels of other takes teach. The descriptor of its frames is compared with its class,
 as it is and as it would be under another label: its distances to other classes, that of its mirror image, those of
-intervals around it, and those of its frames at twice and half the rate. How much nearer the best of these comes is
+intervals around it, and those of its frames at twice and half the rate. The ratio of distances to the best of these is
 measured against what is usual among the labels of the class, since some classes have looser edges and nearer
 neighbours than others. Labels that are probably wrong do not teach.
 """
@@ -20,7 +20,8 @@ from kinedex.ops.arrays import F64, I64
 from kinedex.ops.body.facing_direction import mirrored_positions
 from kinedex.ops.errors import ParameterError
 from kinedex.ops.numeric.channels import channels
-from kinedex.ops.numeric.class_densities import ClassSums
+from kinedex.ops.numeric.class_densities import TEMPERATURE, ClassSums
+from kinedex.ops.numeric.label_windows import LEAST_FRAMES, Window, described, known_part
 from kinedex.ops.numeric.span_descriptors import SpanSums
 
 BoolArray = npt.NDArray[np.bool_]
@@ -28,9 +29,6 @@ Kind = Literal["class", "side", "edges", "rate"]
 
 KINDS: tuple[Kind, ...] = ("class", "side", "edges", "rate")
 """The kinds of mistakes: another class, the other side of the body, other edges, a wrong rate of the frames."""
-
-LEAST_FRAMES = 3
-"""The fewest frames of a label that can be judged."""
 
 SHIFTS = (-0.5, -0.35, -0.25, -0.15, 0.0, 0.15, 0.25, 0.35, 0.5)
 """The shares of a label's length by which its edges are moved."""
@@ -47,9 +45,6 @@ MARGIN_FRAMES = 8
 RATES = (2.0, 0.5)
 """The factors of the rate that are tried."""
 
-TEMPERATURE = 3.0
-"""The divisor of log densities in probabilities, since numbers that vary together make them too certain."""
-
 DOUBTED = 0.1
 """Labels whose own class has less than this probability do not teach."""
 
@@ -62,12 +57,15 @@ USUAL = 4.0
 POOLED_SHARE = 0.3
 """The share of the spread in all classes that is added to the spread in a class."""
 
-SIDE_SHARE = 0.8
+SIDE_SHARE = 0.6
 """The share of another class's gain from which on the gain of the mirror image says that the side is wrong."""
 
 
-ONE_SIDED = 6.0
-"""The least log density by which a class's labels usually fit better than their mirror images, if it has a side."""
+ONE_SIDED = 1.05
+"""The ratio of distances from which on mirror images usually fit worse than the labels, if the class has a side."""
+
+WEIGHTS = (1.0, 1.0, 1.0, 0.5)
+"""The weights of the `KINDS` in suspicion: speeds differ more by style than rates are wrong."""
 
 
 class Place(NamedTuple):
@@ -75,22 +73,6 @@ class Place(NamedTuple):
 
     take: int
     label: str
-
-
-class Window(NamedTuple):
-    """A label's frames and those around it, within `context_of` its interval.
-
-    Attributes
-    ----------
-    positions : float64 array (L, J, 3)
-        The joints in metres, Y up; NaN where they are not known.
-    start, stop : int
-        The label within them.
-    """
-
-    positions: F64
-    start: int
-    stop: int
 
 
 @dataclass(frozen=True)
@@ -104,7 +86,8 @@ class Judgement:
     probability : float
         The probability of its class, by the labels of other takes.
     suspicion : float
-        How much better the best other explanation fits than is usual in its class, in spreads of the class.
+        How much better the best other explanation fits than is usual in its class, in spreads of the class, of the
+        logarithm of the ratio of distances.
     kind : str
         The kind of mistake, one of `KINDS`; empty if nothing fits better.
     label : str
@@ -125,7 +108,7 @@ class Judgement:
 
 
 Windows = Callable[[], Iterable[tuple[int, Window]]]
-"""Returns the window of each label with the label's number, in any order; it is called twice."""
+"""Returns the window of each label, within `context_of` its interval, with its number, in any order; called twice."""
 
 
 def context_of(start: int, stop: int, frames: int) -> tuple[int, int]:
@@ -157,12 +140,11 @@ def judge_labels(places: Sequence[Place], windows: Windows, joints: Sequence[str
     reasons = ["not given"] * len(places)
     descriptors: dict[int, F64] = {}
     for number, window in windows():
-        reasons[number] = _reason(window)
-        if not reasons[number]:
-            try:
-                descriptors[number] = _as_labelled(window, joints, rate_hz)
-            except ParameterError as fault:
-                reasons[number] = f"its body cannot be described ({fault})"
+        try:
+            descriptors[number] = _as_labelled(known_part(window), joints, rate_hz)
+            reasons[number] = ""
+        except ParameterError as fault:
+            reasons[number] = str(fault)
     known = np.array(sorted(descriptors), np.int64)
     alone = np.bincount(classes[known], minlength=len(names))[classes] < 2
     for number in known[alone[known]].tolist():
@@ -179,30 +161,11 @@ def judge_labels(places: Sequence[Place], windows: Windows, joints: Sequence[str
     return found
 
 
-def _reason(window: Window) -> str:
-    """Return why the label of a window cannot be judged; empty if it can."""
-    if window.stop - window.start < LEAST_FRAMES:
-        return f"it has fewer than {LEAST_FRAMES} frames"
-    if not np.isfinite(window.positions[window.start : window.stop]).all():
-        return "joints are not known in all of its frames"
-    return ""
-
-
-def _known_part(window: Window) -> Window:
-    """Return the frames of a window around its label in which all joints are known."""
-    unknown = np.flatnonzero(~np.isfinite(window.positions).all(axis=(1, 2)))
-    first = int(unknown[unknown < window.start].max(initial=-1)) + 1
-    last = int(unknown[unknown >= window.stop].min(initial=len(window.positions)))
-    return Window(window.positions[first:last], window.start - first, window.stop - first)
-
-
 def _as_labelled(window: Window, joints: Sequence[str], rate_hz: float) -> F64:
     """Return the descriptors of a label: as it is, in the mirror, and at each of `RATES`, float64 (4, D)."""
-    positions, start, stop = _known_part(window)
-    edges = np.array([start]), np.array([stop])
-    bodies = [(positions, rate_hz), (mirrored_positions(positions, joints), rate_hz)]
-    bodies += [(positions, factor * rate_hz) for factor in RATES]
-    return np.concatenate([SpanSums(channels(body, joints, rate), rate).describe(*edges) for body, rate in bodies])
+    image = window._replace(positions=mirrored_positions(window.positions, joints))
+    rates = [described(window, joints, factor * rate_hz) for factor in RATES]
+    return np.stack([described(window, joints, rate_hz), described(image, joints, rate_hz), *rates])
 
 
 def _folds(takes: I64, classes: I64) -> I64:
@@ -282,7 +245,7 @@ def _moved(windows: Windows, taught: _LeftOut, rows: dict[int, int], joints: Seq
         row = rows.get(number)
         if row is None:
             continue
-        positions, start, stop = _known_part(window)
+        positions, start, stop = known_part(window)
         starts, stops = _intervals(start, stop, len(positions))
         if len(starts):
             descriptors = SpanSums(channels(positions, joints, rate_hz), rate_hz).describe(starts, stops)
@@ -318,9 +281,9 @@ def _judged(
     others = np.where(np.arange(len(names)) == taught.classes[:, None], np.inf, distances)
     images = [taught.own(taught.distances(descriptors[:, place])) for place in range(1, 4)]
     best = np.stack([others.min(axis=1), images[0], moved.distances, np.minimum(*images[1:])])
-    gains = 0.5 * (taught.own(distances)[rows] - best[:, rows])
+    gains = np.log(np.maximum(taught.own(distances)[rows], 1e-9) / np.maximum(best[:, rows], 1e-9))
     gains[1, _two_sided(gains[1], taught.classes[rows])] = -np.inf
-    excess = np.stack([_spreads(one, taught.classes[rows]) for one in gains])
+    excess = np.stack([_spreads(one, taught.classes[rows]) for one in gains]) * np.array(WEIGHTS)[:, None]
     suspicion = np.where(gains > 0, excess, -np.inf).max(axis=0)
     weights = gains.copy()
     weights[1] = np.where(gains[1] > SIDE_SHARE * gains[0], np.maximum(gains[0], gains[1]) + 1e-9, gains[1])
@@ -347,7 +310,7 @@ def _judged(
 def _two_sided(gains: F64, classes: I64) -> BoolArray:
     """Return which labels are of classes without a side, by the gains (E,) of mirror images."""
     usual = {one: _usual(gains[classes == one])[0] for one in np.unique(classes).tolist()}
-    return np.array([usual[one] > -ONE_SIDED for one in classes.tolist()])
+    return np.array([usual[one] > -np.log(ONE_SIDED) for one in classes.tolist()])
 
 
 def _spreads(gains: F64, classes: I64) -> F64:

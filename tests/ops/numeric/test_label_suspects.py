@@ -9,7 +9,8 @@ import pytest
 
 from kinedex.ops.arrays import F64
 from kinedex.ops.body.joint_tree import JOINTS
-from kinedex.ops.numeric.label_suspects import Judgement, Place, Window, context_of, judge_labels
+from kinedex.ops.numeric.label_suspects import Judgement, Place, context_of, judge_labels
+from kinedex.ops.numeric.label_windows import Window
 from tests.ops.numeric.motions import RATE_HZ, in_a_row, motion
 
 NAMES = ("raise left", "bow", "raise right", "walk")
@@ -103,8 +104,8 @@ def test_labels_that_cannot_be_judged_say_why() -> None:
     takes[3][labels[13][1] + 4, 7] = np.nan
     labels += [(0, 3, 5, "bow"), (2, 4, 30, "nod")]
     found = judged(takes, labels)
-    assert found[13].reason == "joints are not known in all of its frames"
-    assert found[-2].reason == "it has fewer than 3 frames"
+    assert found[13].reason == "a label must be of frames in which all joints are known, got 'frames without'"
+    assert found[-2].reason == "a label must be of 3 frames or more, got 'fewer'"
     assert found[-1].reason == "no other label of its class can be judged"
     assert all(not one.reason for k, one in enumerate(found[:-2]) if k != 13)
     assert judged(takes, [(2, 4, 30, "nod")])[0].reason == found[-1].reason
