@@ -1,4 +1,4 @@
-"""Find implausible limbs, which have no length, unequal lengths on the two sides, or joints of the other side."""
+"""Find implausible limbs: without length, unequally long on the two sides, or with joints of the other side."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ _SHOWN = 4
 
 
 def limb_doubts(positions: F64, joints: tuple[str, ...]) -> list[str]:
-    """Return a warning on limbs whose lengths, or whose sides, contradict each other; empty for a body.
+    """Return one warning that lists limbs without length, unequal limbs and exchanged sides; empty if there are none.
 
     Parameters
     ----------

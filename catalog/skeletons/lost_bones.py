@@ -118,7 +118,10 @@ def _found(names: tuple[str, ...], parents: tuple[int, ...], data: bytes, empty:
 
 
 def _of_partners(words: Sequence[NodeName], offsets: F64, empty: Sequence[int]) -> dict[int, F64]:
-    """Return the offsets of bones without length whose partner has one, by the reflection that fits all others."""
+    """Return the offsets of bones without length whose partner on the other side has one.
+
+    A partner's offset is reflected as suits the other pairs of bones; the result is empty if no reflection suits them.
+    """
     at: dict[tuple[str, tuple[str, tuple[int, ...], bool]], list[int]] = {}
     for i, name in enumerate(words):
         if name.side:

@@ -174,7 +174,7 @@ class Mappings:
         return self._is_shipped(mapping) and bool(mapping.order)
 
     def _is_shipped(self, mapping: SkeletonMapping) -> bool:
-        """Return whether a mapping comes with kinedex, and was chosen by the names of a file."""
+        """Return whether a mapping comes with kinedex, and was not chosen by the user."""
         return mapping.format not in self.forced and mapping not in self.own.get(mapping.format, ())
 
     def _may_fit(self, mapping: SkeletonMapping, source: str | Path, nodes: Iterable[str]) -> bool:
@@ -207,7 +207,10 @@ class Mappings:
         )
 
     def completed(self, fit: Fit, evidence: Evidence | None) -> Fit:
-        """Return a fit of a shipped mapping in which joints that lack their own node use a node of another name."""
+        """Return a fit in which joints that lack their own node use a node of another name.
+
+        Fits that lack nothing, fits of a user's mapping and fits of points are returned unchanged.
+        """
         if evidence is None or evidence.parents is None or not fit.fallen or not self._is_shipped(fit.mapping):
             return fit
         return renamed_fit([fit.mapping], evidence) or fit
@@ -313,7 +316,8 @@ class Mappings:
     def nearest(self, form: Format, nodes: Mapping[str, int]) -> Fit | None:
         """Return the fit that finds the most joints in a skeleton, knows the most of its nodes, and lacks the fewest.
 
-        If no mapping knows any node, the names without a common prefix are tried.
+        If no mapping knows any node, the names without a common prefix are tried. The result is None for a format
+        without mappings.
         """
         near = self._nearest(form, nodes)
         for prefix in _prefixes(list(nodes)) if near is not None and not near.known else ():
@@ -328,7 +332,13 @@ class Mappings:
 
 
 def _best(source: str | Path, fits: Sequence[Fit]) -> Fit | None:
-    """Return the fit that lacks no node and supplies the most joints; raise a SourceError if two fit equally well."""
+    """Return the fit that lacks no node and supplies the most joints; None if each lacks a node.
+
+    Raises
+    ------
+    SourceError
+        Two fit equally well.
+    """
     whole = [fit for fit in fits if not fit.missing and fit.named]  # one without joints would fit every file
     best = [fit for fit in whole if fit.named == max(other.named for other in whole)]
     if len(best) > 1:
@@ -344,7 +354,7 @@ def stripping(prefix: str, mapping: SkeletonMapping) -> str:
 
 
 def _prefixes(names: Sequence[str]) -> list[str]:
-    """Return the prefixes of all names and of more than half of them, each up to a mark such as _ or a colon."""
+    """Return the beginning that all names share, and those of over half of them that end with a mark such as _ or :."""
     marks = Counter(
         name[: mark.end()] for name in names for mark in re.finditer(r"[^A-Za-z0-9]", name[:LONGEST_PREFIX])
     )
@@ -460,7 +470,7 @@ def _digest(parsed: _SkeletonFile) -> str:
 
 
 def _check_estimated(located: Located, parsed: _SkeletonFile) -> None:
-    """Raise a ConfigError for a joint that is said to be estimated, and that the mapping does not have."""
+    """Raise a ConfigError if the mapping lacks a joint of `estimated`, or if a joint of `rough` is not estimated."""
     for joint in parsed.estimated:
         if parsed.joints.get(joint) is None:
             raise located.error("no joint of that name is made by this mapping", "estimated", joint)
@@ -524,7 +534,10 @@ def _has_virtual(what: object) -> bool:
 
 
 def _axes(located: Located, up: Axis, facing: Axis, handedness: str, key: str) -> F64:
-    """Return the rotation that takes a mapping's up axis to +Y and its facing axis to +Z."""
+    """Return the matrix (3, 3) that takes a mapping's up axis to +Y and its facing axis to +Z.
+
+    It is a rotation for right-handed axes, and includes a reflection for left-handed ones.
+    """
     if up[-1] == facing[-1]:
         raise located.error("up and facing must be different axes", key)
     upward, forward = (np.eye(3)["xyz".index(axis[-1])] * (-1.0 if axis[0] == "-" else 1.0) for axis in (up, facing))

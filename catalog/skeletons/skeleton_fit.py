@@ -161,7 +161,7 @@ class Mix:
         return mixed
 
     def _offset(self, first: F64, second: F64, hand: float) -> F64:
-        """Return the offset (3, T) that two sides of the plane give, (3, T) each."""
+        """Return the offset (3, T) of the point, from the vectors b − a and c − a, (3, T) each."""
         normal = np.cross(first, second, axis=0)
         far = np.linalg.norm(first, axis=0) / np.maximum(np.linalg.norm(normal, axis=0), np.finfo(float).tiny)
         return np.asarray(hand * self.out * far * normal)
@@ -238,7 +238,7 @@ class SkeletonMapping:
     limbs : Mapping[str, LimbSource]
         Nodes, markers and axes of limbs where these do not follow from the joints.
     estimated, rough : Mapping[str, str], tuple of str
-        As in `Fit`, by the file's own statement.
+        As in `Fit`, as the mapping file states them.
     """
 
     name: str
@@ -430,7 +430,7 @@ class Fit:
 
     @cached_property
     def fallen(self) -> tuple[str, ...]:
-        """Return the joints that lack their first choice, and use other joints or differ from the other side."""
+        """Return the joints made by a later choice that uses other joints, or whose partner has its first choice."""
         found = []
         for joint, mix in self.joints.items():
             first = self.mapping.joints[joint][0]

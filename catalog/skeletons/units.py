@@ -64,7 +64,8 @@ def guess_unit(source: str | Path, positions: F64, joints: tuple[str, ...]) -> t
     Returns
     -------
     tuple[str, float, float]
-        The name of the unit (a key of `UNITS_M`), its metres, and the height of the body in metres.
+        The name of the unit (a key of `UNITS_M`, `RARE_UNITS_M` or `FEET_M`), its metres, and the height of the body
+        in metres.
 
     Raises
     ------

@@ -156,7 +156,7 @@ def _from_hips(hips: int, common: int, line: list[int]) -> tuple[int, ...]:
 
 
 def _head_score(tree: Tree, at: int, child: int, line: list[int], legs: Pair) -> float:
-    """Return how probably a branch is neck and head; 0 or less if it is not."""
+    """Return a score that is higher the more a branch looks like neck and head; 0 if its length rules that out."""
     names = {part for node in tree.below(child) for part in tree.parts[node]}
     long = (tree.lengths[child] + tree.reach[child]) / legs.length
     if not 0.05 < long < 1.0:
@@ -201,7 +201,7 @@ class Sides:
     Attributes
     ----------
     legs, arms : tuple of Limb, optional
-        The left and the right one.
+        The left and the right one; None where the body has none.
     named : bool
         True if names state the sides.
     mirrored : bool

@@ -192,7 +192,7 @@ def _farther(places: Mapping[str, F64], called: Mapping[str, str]) -> Iterator[s
 
 
 def _middles(places: Mapping[str, F64], called: Mapping[str, str], leg: float) -> Iterator[str]:
-    """Yield a clause for each landmark of the middle, and of the pelvis, that is not in the middle of two others."""
+    """Yield a clause for a pelvis with unequal diagonals, and one for each middle landmark nearer to one side."""
     if {"lasis", "rasis", "lpsis", "rpsis"} <= places.keys():
         across = [median_of(_apart(places[f"{a}asis"], places[f"{b}psis"])) for a, b in ("lr", "rl")]
         if abs(across[0] - across[1]) > _UNEVEN * leg:

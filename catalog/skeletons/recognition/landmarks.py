@@ -117,7 +117,7 @@ class MarkerSet:
     least : int
         The smallest number of them by which the set is recognised.
     joints : dict of str to tuple of Choice
-        The alternatives of joints, which count before those of all sets.
+        The alternatives of joints in this set, which are tried before those of `Landmarks.joints`.
     """
 
     labels: frozenset[str]
@@ -142,7 +142,7 @@ class Reading:
     arm : dict of str to str
         Landmark of an arm of unknown side → its label, in a set for one arm.
     made : dict
-        The mixes of joints that have been made of them.
+        Joint → its mixes of these labels, as far as `Landmarks.all_mixes` has computed them.
     """
 
     labels: dict[str, tuple[str, ...]]

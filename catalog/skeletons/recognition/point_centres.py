@@ -142,7 +142,7 @@ def _root_of_hips(draft: BodyDraft, hips: Sequence[str], shoulders: Sequence[str
 
 
 def is_near(draft: BodyDraft, label: str, between: Mix | None) -> bool:
-    """Return whether a point is nearer to the middle of the shoulders than to the root."""
+    """Return whether a point is much nearer to the middle of the shoulders than to the root, or one is unknown."""
     root = draft.place("root")
     if between is None or root is None:
         return True

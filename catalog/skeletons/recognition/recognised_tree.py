@@ -298,7 +298,7 @@ def _on_four_legs(tree: Tree, body: Anatomy) -> bool:
 
 
 def _middle(tree: Tree, body: Anatomy, which: int) -> tuple[F64, F64]:
-    """Return the middle of the first and of the last nodes of the legs (0) or the arms (1), (3, K) each."""
+    """Return the midpoints of the hips and the ankles (0), or of the shoulders and the wrists (1), (3, K) each."""
     pair = (body.legs, body.arms)[which]
     assert pair is not None
     near, far = ((tree.positions[pair.first.nodes[i]] + tree.positions[pair.second.nodes[i]]) / 2 for i in (0, 2))
