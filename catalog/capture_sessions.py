@@ -1,8 +1,8 @@
 """Compare the takes of a capture session, to warn of contradictions and to decide what a file leaves open.
 
 One file alone cannot show that its scale or its rate is wrong where a person of that size could move so; the files
-that were recorded with it can. Files of one folder, format, skeleton file and person are a session. It decides
-something if at least `FILES` files besides the one in question, and a share of `SHARE` of all, agree on it.
+that were recorded with it can. Files of one folder, format, skeleton file and person are a session. It agrees on a
+value if at least `FILES` takes, and a share of `SHARE` of the takes that have any, have this value.
 """
 
 from __future__ import annotations
@@ -150,13 +150,13 @@ def decided_recipes(rows: Iterable[Row]) -> dict[int, str]:
 
 
 def decisions_in(recipe: str) -> dict[str, Any]:
-    """Return the settings of `ReadSettings` that the session of a take has decided, as JSON in its recipe."""
+    """Return the settings of `ReadSettings` that the session of a take has decided, from the JSON in its recipe."""
     text = recipe.partition(" ")[2]
     return dict(json.loads(text)) if text else {}
 
 
 def same_decisions(recipe: str, row: Row) -> str:
-    """Return a new recipe of a take with the decisions of its session."""
+    """Return a new recipe with the decisions of the session that the recipe in a take's row holds."""
     return _with_decisions(recipe, decisions_in(row["recipe"]))
 
 
@@ -183,7 +183,13 @@ def _decided(values: Iterable[Any]) -> Any | None:
 
 
 def session_lines(warnings: Mapping[str, Sequence[str]]) -> list[str]:
-    """Return a message on the takes that contradict their sessions, given the warnings of takes by their names."""
+    """Return a list of one message on the takes that contradict their sessions; empty if none does.
+
+    Parameters
+    ----------
+    warnings : mapping of str to sequence of str
+        Take name → its warnings.
+    """
     alone = [(name, one) for name, those in warnings.items() for one in those if one.startswith(SESSION)]
     if not alone:
         return []
@@ -249,7 +255,7 @@ def _estimates(takes: Sequence[Row]) -> Iterator[tuple[int, str]]:
 
 @dataclass(frozen=True)
 class _Typical:
-    """The median of a figure in a session, and the share of takes near it."""
+    """The median of a figure in a session, the number of takes near it, and that of the takes with this figure."""
 
     median: float
     near: int

@@ -195,7 +195,7 @@ def _folds(located: Located, file: _FilmedFile, kinds: list[str]) -> F64:
 
 
 def _factors(located: Located, file: _FilmedFile, kinds: list[str]) -> F64:
-    """Return the smallest and the largest factor (K, 2) of each kind of part."""
+    """Return the least and the greatest factor (K, 2) on the radii of the cones of each of K kinds of part."""
     _check_kinds(located, file.flesh, [*kinds, _DEFAULT], "flesh")
     found = []
     for kind in kinds:

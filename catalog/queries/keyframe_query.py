@@ -276,7 +276,7 @@ def features_of(keyframe: Keyframe, feature_set: FeatureSet) -> tuple[list[str],
 
 
 def words_of(keyframe: Keyframe, feature_set: FeatureSet) -> str:
-    """Describe a keyframe: the names of the features that must be on, then after a "not" of those that must be off."""
+    """Describe a keyframe: the names of the features that must be on, then those that must be off, each with "not"."""
     on, off = features_of(keyframe, feature_set)
     return ", ".join([*on, *(f"not {name}" for name in off)])
 
