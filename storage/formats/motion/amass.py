@@ -113,7 +113,7 @@ class Poses:
     up : str, optional
         The vertical axis, if the source fixes it.
     known_hz : float, optional
-        Frames per second of all files of the source, which do not state them.
+        Frames per second of all files of the data set (AIST++), which do not state them.
     """
 
     names: tuple[str, ...]
@@ -361,7 +361,7 @@ def _vectors(path: Path, arrays: dict[str, Any], key: str) -> Any:
 
 
 def _scale(path: Path, arrays: dict[str, Any]) -> float:
-    """Return the body's scale in the unit of its positions, by which AIST++ converts both to centimetres."""
+    """Return the `scaling` of AIST++, by which the root's positions are divided to be in metres of the body model."""
     scale = _numbers(path, arrays, "scaling")
     if scale.size != 1 or not 1e-3 <= float(scale.ravel()[0]) <= 1e6:
         raise SourceError(path, f"`scaling` must be one positive number, got {scale.ravel()[:3]}")

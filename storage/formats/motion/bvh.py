@@ -346,7 +346,7 @@ def _offsets_apart(motion: _Motion) -> frozenset[int]:
 
 
 def persons_of(file: BvhFile, apart: frozenset[int] = frozenset()) -> list[Person]:
-    """Return the figures of a file: the trees of its roots without small ones (props), or all if no tree is large.
+    """Return the figures of a file: the trees of its roots without small ones (props), or the largest if all are small.
 
     Parameters
     ----------

@@ -137,7 +137,7 @@ def _head(file: BvhFile, members: tuple[int, ...] | None, changes: Replacements)
 
 
 def _mirrored_offsets(file: BvhFile, members: Sequence[int], plane: MirrorPlane) -> Replacements:
-    """Return the numbers of the OFFSETs that differ from their mirror images."""
+    """Return the mirrored numbers of each OFFSET that mirroring changes, by the bytes that hold its own numbers."""
     changes: Replacements = {}
     for i, image in zip(members, plane.image, strict=True):
         own, other = (file.layout.text[slice(*file.layout.offsets[at])].split() for at in (i, members[image]))

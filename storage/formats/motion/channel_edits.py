@@ -185,7 +185,7 @@ def mirrored_tokens(figure: Figure, plane: MirrorPlane, tokens: Tokens) -> Token
 
 
 def _upright(fit: Fit, plane: MirrorPlane) -> F64:
-    """Return the rotation that keeps the up axis up after mirroring; none unless the plane is the ground."""
+    """Return the rotation (3, 3) that keeps up up after mirroring: the identity unless the mirror plane is level."""
     axes = np.abs(fit.mapping.axes)
     if int(np.argmax(axes[1])) != plane.axis:
         return np.eye(3)

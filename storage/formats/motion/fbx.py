@@ -156,8 +156,8 @@ def _axes_in_words(axes: F64, unit: float) -> str:
 def rest_of(scene: Scene, group: Group) -> tuple[F64, F64, str]:
     """Return rest rotations (N, 3, 3) and positions (N, 3) of a figure in the scene's axes, and the pose's name.
 
-    That is the bind pose, in which a mesh was bound to the skeleton, if the file has it for all bones with children and
-    its bones are as long as the scene's; else the pose of the scene outside of clips.
+    That is the bind pose, in which a mesh was bound to the skeleton, if the file has it for more than half of the
+    figure's nodes and its bones are as long as the scene's; else the pose of the scene outside of clips.
     """
     chain, parents, shown = group.chain(scene.parents)
     parts = [scene.nodes[node].local(*(move[None] for move in scene.nodes[node].moves)) for node in chain]
@@ -194,7 +194,7 @@ class _Local:
     late: float
 
     def __call__(self, seconds: F64) -> tuple[F64, F64]:
-        """Return rotations with scale, and positions, at times in seconds."""
+        """Return rotations with scale (M, K, 3, 3), and positions (M, K, 3), of M nodes at K times in seconds."""
         linear = np.empty((len(self.nodes), len(seconds), 3, 3))
         offsets = np.empty((len(self.nodes), len(seconds), 3))
         moves = [[np.repeat(move[None], len(seconds), axis=0) for move in node.moves] for node in self.nodes]

@@ -120,7 +120,7 @@ class Clip:
     span : tuple of float, optional
         Start and end of the clip in seconds, if the file states them.
     layers : int
-        The number of layers that move nodes; only the first is read.
+        2 if several layers move nodes, of which only the first is read; else 0.
     """
 
     name: str

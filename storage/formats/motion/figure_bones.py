@@ -1,4 +1,4 @@
-"""Give bones of figures that lack a length in the file one: that of the other side, of a neighbour, or of a mapping."""
+"""Replace lengths that bones of figures lack in the file: from the other side, from neighbours, or from a mapping."""
 
 from __future__ import annotations
 
@@ -45,10 +45,10 @@ def measured_offsets(figure: Figure, positions: F64) -> F64:
 
 
 def bones_of_body(figure: Figure, offsets: F64) -> tuple[LostBones | None, list[RestoredBone]]:
-    """Return the bones that have lost the length that a body needs, by the other side and by their neighbours.
+    """Return the bones that lack a length that a body needs, and those whose length can be estimated.
 
-    Both sides are mirror images of each other in the rest pose, or, where that is a pose of a clip, in the bones' own
-    axes; the axes in which more bones are found count.
+    Lengths are estimated from the other side and from neighbours. As the two sides may be mirror images of each other
+    either in the scene's axes or in the bones' own axes at rest, both are tried, and the one with more results counts.
 
     Parameters
     ----------
@@ -56,6 +56,13 @@ def bones_of_body(figure: Figure, offsets: F64) -> tuple[LostBones | None, list[
         The figure.
     offsets : float64 array (N, 3)
         The nodes' offsets from their parents, as `measured_offsets` returns them.
+
+    Returns
+    -------
+    lost : LostBones or None
+        The bones as `lost_bones` finds them; None if there are none.
+    restored : list of RestoredBone
+        The bones of `lost` with an estimated length.
     """
     whole = np.where(np.array(figure.parents)[:, None] < 0, 0.0, offsets)  # a root's place is no bone
     turns = figure.turns[list(figure.parents)] if figure.turns is not None else np.eye(3)[None]
@@ -96,7 +103,17 @@ def with_bones(figure: Figure, bones: Sequence[RestoredBone]) -> Figure:
 
 
 def lengthen(places: F64, bones: Sequence[RestoredBone], turns: F64) -> None:
-    """Move nodes (N, 3, K) in place to where they are with the lengths of bones, whose parents are turned (M, 9, K)."""
+    """Move the nodes beyond restored bones, in place, by the vectors of these bones.
+
+    Parameters
+    ----------
+    places : float64 array (N, 3, K)
+        The nodes in K frames.
+    bones : sequence of RestoredBone
+        M bones.
+    turns : float64 array (M, 9, K)
+        The rotations of the bones' parents from their rest pose.
+    """
     for bone, turn in zip(bones, turns, strict=True):
         places[list(bone.members)] += np.einsum("abk,b->ak", turn.reshape(3, 3, -1), bone.way)
 

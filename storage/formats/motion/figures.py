@@ -124,7 +124,7 @@ def figure_bytes(frames: int, nodes: int, joints: int) -> int:
 
 
 def _at_once(nodes: int) -> int:
-    """Return the number of frames that are posed at once, for at most some 100 MB of node data."""
+    """Return the number of frames that are posed at once, so that their nodes take some 100 MB in usual scenes."""
     return min(BLOCK_FRAMES, max(SAMPLED_FRAMES, 200_000 // nodes))
 
 

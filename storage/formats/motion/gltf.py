@@ -90,7 +90,7 @@ def _clips(document: Document) -> list[FigureClip[Animation]]:
 
 
 def _groups(document: Document) -> list[Group]:
-    """Return the skeletons: connected joints of skins, or else the nodes that animations rotate."""
+    """Return the skeletons: connected joints of skins, or else the nodes that animations move."""
     nodes = document.content.nodes
     joints = {joint for skin in document.content.skins for joint in skin.joints}
     if any(joint >= len(nodes) for joint in joints):
@@ -148,7 +148,7 @@ class _Local:
     late: float
 
     def __call__(self, seconds: F64) -> tuple[F64, F64]:
-        """Return rotations with scale, and positions, at times in seconds."""
+        """Return rotations with scale (M, K, 3, 3), and positions (M, K, 3), of M nodes at K times in seconds."""
         offsets = np.repeat(self.offsets[:, None], len(seconds), axis=1)
         linear = np.repeat(self.linear[:, None], len(seconds), axis=1)
         moved: dict[int, dict[str, F64]] = {}
@@ -208,8 +208,8 @@ def _bound(
     """Return rest rotations (M, 3, 3) and positions (M, 3) of a chain, and the pose's name.
 
     That is the bind pose, in which a mesh was bound to the skeleton, if it differs from the nodes' pose outside of
-    clips. Bind matrices have their own axes; these are taken as the scene's up to right angles, which the first joint
-    suggests.
+    clips. Bind matrices may be in other axes than the scene; the rotation between the two, composed of right angles, is
+    taken from the first joint.
     """
     whole, positions = scene
     inverse = _binding(document)

@@ -63,7 +63,8 @@ class HumanMlReader(PointsReader):
 def recovered_joints(features: F64) -> F64:
     """Return the positions of the joints (22, 3, T) from features (T, 263).
 
-    The root's rotation about the vertical axis is the sum of its half angles per frame, its path the sum of its steps.
+    The root's rotation about the vertical axis is twice the sum of the half angles per frame, its path the sum of its
+    steps.
     Steps and joints are given in the root's axes, joints relative to the root horizontally and to the ground
     vertically. (C. Guo et al., Generating Diverse and Natural 3D Human Motions from Text, CVPR 2022, Section 3.)
     """

@@ -53,7 +53,9 @@ def corrected_rate(
     warnings: list[str],
     statement: str = "",
 ) -> float:
-    """Return the rate of a file, or the likely one if it is impossible, such as the 1 Hz of `Frame Time: 1.0`.
+    """Return the rate of a file; if it is implausible, that of its session, or the one at which the motion is likely.
+
+    The 1 Hz of `Frame Time: 1.0`, for example, is implausible.
 
     Parameters
     ----------
@@ -221,8 +223,8 @@ class UnitStatement:
     unit_m : float, optional
         Metres per unit; None to guess the unit from the size of the body.
     by : str
-        The words for what states the unit, the file or a shipped mapping: it is then replaced if it gives no human
-        size. By default it is kept, as that of a user's mapping is.
+        The words for the source of the unit, the file or a shipped mapping; its unit is replaced if it gives no human
+        height. Empty for the mapping of a user, whose unit is kept.
     session_m : float, optional
         Metres per unit of the other files of the folder, which count where the unit is doubtful.
     """
@@ -385,6 +387,13 @@ def turned_upright(fit: Fit, rest: F64, positions: F64, joints: tuple[str, ...])
         The joints, which are rotated in place.
     joints : tuple of str
         The names of the J joints.
+
+    Returns
+    -------
+    fit : Fit
+        The mapping, rotated like the joints.
+    reasons : tuple of str
+        The reason for the rotation; empty if nothing is rotated.
     """
     if not is_shipped(fit) or _stands(positions, joints):
         return fit, ()

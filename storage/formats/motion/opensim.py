@@ -111,8 +111,8 @@ def model_of(path: Path, layout: _Layout, settings: ReadSettings) -> tuple[Path,
 
     A name that has another number than the motion's, after the same words, is that of somebody else's model: it does
     not count. Of several files, the one that shares most words and numbers at the beginning of its name with the
-    motion's counts, if it has coordinates of the motion; of files that share equally many, the one that has the most
-    of them.
+    motion's counts, if it has coordinates of the motion; of files that share equally many, the one with the most
+    coordinates of the motion.
 
     Raises
     ------

@@ -463,7 +463,8 @@ def upright(fit: Fit, evidence: Evidence, warnings: list[str], session_up: str =
     evidence : Evidence
         The points in some frames, and the axis that the file states as vertical.
     warnings : list of str
-        A sentence is appended if the body stands along another axis than the file states.
+        A sentence is appended if the body stands along another axis than the file states, or if no axis is stated and
+        none is clearly up.
     session_up : str, optional
         The vertical axis of the other files of the folder, which counts where no axis is clearly up.
     """

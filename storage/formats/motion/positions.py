@@ -377,11 +377,11 @@ class PositionsReader(PointsReader):
         return path.suffix.lower() != ".csv" or is_positions_csv(path)
 
     def size(self, file: MotionFile) -> tuple[int, int, int]:
-        """Count the rows of a table, or read the header of an array."""
+        """Return frames and points, by the rows of a table or the header of an array, and the bytes for reading."""
         return positions_extent(file.path)
 
     def extent(self, file: MotionFile, joints: int, settings: ReadSettings) -> Extent:
-        """Return the frames and the memory of all points; the rate may be the user's alone, since no NPY states one."""
+        """Return the frames, the memory of all points, and the user's rate or None: the files' own is not read here."""
         found = super().extent(file, joints, settings)
         return replace(found, rate_hz=settings.override_rate_hz or settings.rate_hz)
 

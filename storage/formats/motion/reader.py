@@ -112,7 +112,7 @@ class ReadSettings:
     session_up : str
         The vertical axis of the other files of the folder, for a file in which no axis is clearly up.
     session_hz : float, optional
-        The rate of the other files of the folder, for a file whose own is impossible.
+        The rate of the other files of the folder, for a file whose own is implausible or missing.
     session_unit_m : float, optional
         Metres per unit of the other files of the folder, for a file whose unit is doubtful.
     """

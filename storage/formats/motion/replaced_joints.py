@@ -86,7 +86,7 @@ def _other_points(points: F64, fit: Fit, positions: F64, joints: tuple[str, ...]
 def _moved(
     points: F64, fit: Fit, positions: F64, joints: tuple[str, ...], joint: str, mix: Mix, frames: I64, unit_m: float
 ) -> float:
-    """Return the 90th percentile of the distance between a mix and its joint in metres; 0 if both are never seen."""
+    """Return the 90th percentile of the distance between a mix and its joint in metres; 0 if never seen together."""
     parts = _other_points(points, fit, positions, joints, mix)[:, :, frames]
     axes, scale = (np.eye(3), 1.0) if mix.of_joints else (fit.mapping.axes, unit_m)
     placed = scale * axes @ mix.apply(dict(zip(mix.names, parts, strict=True)), float(np.sign(np.linalg.det(axes))))

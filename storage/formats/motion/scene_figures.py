@@ -28,7 +28,7 @@ class Group:
     parents: tuple[int, ...]
 
     def chain(self, above: Sequence[int]) -> tuple[tuple[int, ...], tuple[int, ...], tuple[int, ...]]:
-        """Return the nodes with all their ancestors, their parents, and the indices of the figure's nodes.
+        """Return the nodes with all their ancestors, and the parents and the figure's nodes as indices into these.
 
         Parameters
         ----------
@@ -96,7 +96,7 @@ def groups_of(above: Sequence[int], bones: set[int], shown: set[int]) -> list[Gr
 
 @dataclass(frozen=True)
 class FigureClip(Generic[Content]):
-    """A clip of a figure: the nodes that it moves, its content in the file, and the names of figure and clip."""
+    """A clip of a figure: the figure's nodes, the clip's content in the file, and the names of figure and clip."""
 
     group: Group
     content: Content

@@ -172,7 +172,10 @@ class Scan:
 
     @cached_property
     def digest(self) -> str:
-        """A hash of every file's path, size and time; equal hashes mean that nothing has changed."""
+        """A hash of path, size and time of motion files, skeletons and sidecars, and of path and fault of refused ones.
+
+        Equal hashes mean that nothing has changed that an ingest reads.
+        """
         hasher = hashlib.sha256()
         for file in (*self.motions, *self.skeletons, *self.sidecars):
             hasher.update(f"{file.path}\0{file.size}\0{file.mtime_ns}\n".encode())

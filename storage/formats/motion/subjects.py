@@ -19,7 +19,7 @@ MIN_POINTS = 10
 
 
 def bodies_of(labels: Sequence[str]) -> list[str]:
-    """Return the subjects of labels such as `Ann:LKNE` that have the landmarks of a body."""
+    """Return the subjects of labels such as `Ann:LKNE` that have the landmarks of a body; empty unless several have."""
     landmarks, of = load_landmarks(), subjects(labels)
     many = [name for name in persons_of(labels) if landmarks.read([labels[i] for i in of[name]]).known >= MIN_LANDMARKS]
     return many if len(many) > 1 else []
@@ -68,7 +68,7 @@ def persons_of(labels: Sequence[str]) -> tuple[str, ...]:
 def labels_of_person(
     path: Path, labels: Sequence[str], person: str, warnings: list[str]
 ) -> tuple[list[int], tuple[str, ...]]:
-    """Return the labels of one person: of the chosen subject, or else of the only possible person.
+    """Return the labels of one person: of the chosen subject, else of the only possible person, else all labels.
 
     Parameters
     ----------
