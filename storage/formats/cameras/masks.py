@@ -98,7 +98,7 @@ def read_mask(path: Path, size: tuple[int, int]) -> U8:
     Raises
     ------
     SourceError
-        The file is not such an image, or has another size.
+        The file is not such an image, has another size, or has only the values 0 and 1.
     """
     _check_image(path, size)
     try:

@@ -69,7 +69,9 @@ class SeenPersons:
 
 
 def checked_points(path: Path, where: str, rows: F64, line: int | None = None) -> F64:
-    """Check keypoints and return them as x, y, confidence; a keypoint at (0, 0) without confidence becomes missing.
+    """Check keypoints and return them as x, y, confidence; missing ones become (NaN, NaN, 0).
+
+    A keypoint is missing without x or y, with a confidence of 0, or at (0, 0) without a confidence.
 
     Parameters
     ----------

@@ -46,7 +46,7 @@ class RecordingCounts:
     confidences_above_one : int
         Confidences above 1, which count as 1.
     keypoints_outside_image : int
-        Keypoints outside the image of their camera.
+        Keypoints with a confidence of 0.1 or more outside the image of their camera.
     """
 
     images_with_several_persons: int = 0

@@ -57,7 +57,7 @@ def cloud_of(path: Path, points: F64, size: tuple[int, int] | None) -> Cloud:
     Raises
     ------
     SourceError
-        No point lies in front of the camera.
+        Points lie in front of the camera, but more than a tenth lie behind it.
     """
     z = points[:, 2]
     with np.errstate(invalid="ignore"):
@@ -140,7 +140,7 @@ def check_camera(cloud: Cloud, camera: DepthCamera) -> None:
     Raises
     ------
     SourceError
-        The median distance exceeds a pixel; the message states intrinsics that fit.
+        The cloud has another size, or the median distance exceeds a pixel; the message states intrinsics that fit.
     """
     if cloud.size != camera.size:
         raise SourceError(cloud.path, size_fault(cloud.size or (0, 0), camera.size))

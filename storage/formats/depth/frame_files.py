@@ -112,7 +112,7 @@ class FrameFiles:
         return found
 
     def _timed(self, times: F64, rate_hz: float) -> dict[int, Path]:
-        """Return a dict from frame number to file, by times, whose jitter must be less than a frame."""
+        """Return a dict from frame number to file, by times rounded to frames; no two files get the same number."""
         found: dict[int, Path] = {}
         last = -1
         for path, time in zip(self.files, (times - times[0]).tolist(), strict=True):

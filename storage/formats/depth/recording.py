@@ -278,7 +278,7 @@ class _Entry:
             raise self.error("background", str(fault)) from None
 
     def _measured_background(self, camera: DepthCamera, frames: DepthFrames, notes: list[str]) -> F32:
-        """Return the 90th percentile of each pixel's depths over the frames that fit into memory."""
+        """Return the 90th percentile of each pixel's depths over all frames, or over evenly spaced ones of many."""
         most = max(SAMPLE, MAX_BACKGROUND_BYTES // (4 * camera.size[0] * camera.size[1]))
         present = [number - frames.first for number in frames.source.numbers]
         if len(present) > most:
@@ -336,7 +336,7 @@ class _Entry:
         return self.error("depth_unit_m", fault)
 
     def truth(self) -> str | Path | None:
-        """Return the ground truth: a file below the folder if the named file exists, otherwise the name of a take."""
+        """Return the ground truth: a file if the entry names one or has a slash, else a take's name; None for none."""
         given = self.given.truth
         if given is None:
             return None
@@ -352,7 +352,7 @@ def _first_size(files: FrameFiles) -> tuple[int, int] | None:
 
 
 def _first_read(files: FrameFiles, read: Callable[[Path], Read]) -> Read:
-    """Read the first file that can be read, and return the result; if none can, raise the error of the first file."""
+    """Return the result of the first file that can be read; raise the error of the first file after 50 failures."""
     fault: KinedexError | None = None
     for path in files.files[:_MAX_TRIES]:
         try:

@@ -347,7 +347,7 @@ def sensors_of(
     Raises
     ------
     SourceError
-        The table has both a column of sensor names and columns of several sensors, or a row without a time.
+        The table has both a column of sensor names and columns of several sensors, or a row without a sensor's name.
     """
     if names is not None and list(layout.channels) != [""]:
         raise SourceError(path, "has a column of sensors and also columns of several sensors; one of them is enough")

@@ -50,7 +50,7 @@ class _Table:
 
 
 def recognises(path: Path, head: bytes) -> bool:
-    """Return True for a header with a time and a gyroscope, or with a time and a quaternion."""
+    """Return True for a header that begins with a time and then a gyroscope, a quaternion or a magnetometer."""
     first = head.split(b"\n", 1)[0].decode("utf-8", "replace").strip("\ufeff\r ").lower()
     clock, _, rest = first.partition(",")
     starts = ("gyroscope x (deg/s)", "w element,", "w,x,y,z", "magnetometer x (")
