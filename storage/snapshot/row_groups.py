@@ -67,7 +67,7 @@ class RowGroups:
         value : hashable
             The value.
         column : str, optional
-            A second column, of text; row groups without any of `among` in it are not read.
+            A second column, of text; only rows with one of `among` in it are returned.
         among : collection of str, optional
             The values of the second column to look for.
         """

@@ -122,7 +122,7 @@ def compact(
     spread : Map, optional
         Runs the merges; each needs at most about half a gigabyte of memory, whatever the store's size.
     workers : int, optional
-        Number of merges that `spread` runs at once; a large merge is divided into this number of tasks.
+        Number of merges that `spread` runs at once; a large merge is divided among them.
 
     Raises
     ------
@@ -194,7 +194,7 @@ def merge_groups(parts: Iterable[AnyPart], full_bytes: float = float("inf")) -> 
 
 
 def part_count(count: int, workers: int, *, fits: int, worth: int) -> int:
-    """Return the number of new parts of a merge, chosen so that no worker is idle.
+    """Return the number of new parts of a merge, one that keeps all workers busy if there are enough rows.
 
     Parameters
     ----------
