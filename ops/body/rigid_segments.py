@@ -248,11 +248,12 @@ def _some(frames: I64) -> I64:
 
 
 class _Template(NamedTuple):
-    """Markers, their places in the segment, and whether the hidden one stays at its place there in other frames."""
+    """Markers, their places in the segment, the place of the hidden one, and a bound of its error in other frames."""
 
     markers: I64
     shape: F64
-    good: bool
+    place: F64
+    error: float
 
 
 def _distance_spread(positions: F64, hidden: int) -> F64:
@@ -277,12 +278,13 @@ def _good_template(
         if count >= MIN_MARKERS and markers not in made:
             made[markers] = _template(positions, hidden, own, there[:count], tolerance)
         found = made.get(markers)
-        if found is not None and found.good:
+        if found is not None and found.error <= tolerance:
             return found
     return None
 
 
 def _template(positions: F64, hidden: int, own: Bool, markers: I64, tolerance: float) -> _Template | None:
+    """Return the template of markers; its error is infinite if that of nine in ten frames exceeds the tolerance."""
     frames = np.flatnonzero(own & np.isfinite(positions[markers]).all(axis=(0, 1)))
     if len(frames) < _FEW_FRAMES:
         return None
@@ -297,7 +299,7 @@ def _template(positions: F64, hidden: int, own: Bool, markers: I64, tolerance: f
     away = np.linalg.norm(inside[:, 1::2] - first[:, None], axis=0)
     far = np.count_nonzero(away > tolerance)
     good = bool(not far or (far < 0.1 * len(away) + 1 and np.percentile(away, 90) <= tolerance))
-    return _Template(markers, shape, good)
+    return _Template(markers, shape, inside.mean(axis=1), tolerance if good else np.inf)
 
 
 def _between_ends(positions: F64, hidden: int, own: Bool, template: _Template, frames: I64) -> F64:
