@@ -14,8 +14,8 @@ def best_threshold(own: F64, others: F64) -> tuple[float, float]:
     Clips with a distance below τ are assigned to the class. F = 2 TP / (2 TP + FP + FN), where TP counts the clips of
     the class below τ, FP the other clips below τ, and FN the clips of the class not below τ. Every τ between two
     successive distances gives the same F, so τ is the midpoint of such an interval. Of several intervals with the
-    greatest F, the widest is chosen, and of equally wide ones the lowest. The interval above the greatest distance has
-    width 0 in this comparison, and its τ is 1.5 times that distance.
+    greatest F, the widest is chosen, and of equally wide ones the lowest. The interval above the greatest distance is
+    taken to end at twice that distance.
 
     Parameters
     ----------

@@ -344,7 +344,7 @@ def least_costs(
     """Return for each segment the smallest distance of its template over all paths that end in the segment.
 
     A path to a template of N columns has at most 2 N − 1 frames. Therefore the distance curve is only computed for the
-    segment and the 2 N − 1 frames before it.
+    segment and the 2 (N − 1) frames before it.
 
     Parameters
     ----------

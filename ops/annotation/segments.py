@@ -332,7 +332,7 @@ def grow_runs(
 def first_members(
     positions: I64, least: F64, offsets: I64, starts: I64, ends: I64, costs: F64, members: I64, edges: I64
 ) -> I64:
-    """Return the first subclass of each segment's class with the lowest cost at its minimum (kernel)."""
+    """Return for each segment the first subclass with a path of lowest cost through its cheapest frame (kernel)."""
     longest = np.zeros(len(offsets) - 1, np.int64)
     for s in range(len(longest)):
         for place in range(offsets[s], offsets[s + 1]):

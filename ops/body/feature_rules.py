@@ -69,7 +69,8 @@ class Rule:
     Attributes
     ----------
     length : tuple[tuple[int, int], ...]
-        Pairs of joints. The sum of their distances in frame 0 scales the thresholds; empty for unscaled thresholds.
+        Pairs of joints. The sum of their distances in the first valid frame scales the thresholds; empty for unscaled
+        thresholds.
     weak, strong : tuple[float, float]
         The thresholds (low, high); one-sided comparisons use only the first.
     stand_ins : tuple of (float, tuple of (int, int))
@@ -86,7 +87,7 @@ class Rule:
 
     @property
     def length_joints(self) -> list[set[int]]:
-        """The sets of joints of the length and of each stand-in; empty for unscaled thresholds."""
+        """Return the sets of joints of the length and of each stand-in; an empty list for unscaled thresholds."""
         every = [self.length, *(pairs for _, pairs in self.stand_ins)] if self.length else []
         return [{joint for pair in pairs for joint in pair} for pairs in every]
 

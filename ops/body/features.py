@@ -76,7 +76,7 @@ def words(
     Raises
     ------
     ParameterError
-        If an array has another shape, or the rate is not positive.
+        If an array has another shape, the rate is not positive, there are too many rules, or a primitive is unknown.
     """
     positions = np.ascontiguousarray(positions, dtype=np.float64)
     orientation = np.ascontiguousarray(orientation, dtype=np.float64)

@@ -103,7 +103,8 @@ def likely_rate(times: F64) -> tuple[float, bool]:
     Returns
     -------
     tuple[float, bool]
-        Frames per second, and True for a usual rate. Otherwise the rate is computed from the median time between keys.
+        Frames per second, and True for a usual rate, or False for a rate computed from the median time between keys,
+        which is limited to the range of the usual rates. If all keys are at one time, the rate is 30.
     """
     steps = np.diff(times)
     steps = steps[steps > 1e-5]

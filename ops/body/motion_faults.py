@@ -163,7 +163,10 @@ def _quantile(values: F64, share: float) -> float:
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def _ground(positions: F64, valid: Bool, soles: I64, rate_hz: float) -> tuple[float, float, float, float]:
-    """Return metres and seconds of sliding feet, the depth below the floor, and the longest time without contact."""
+    """Return the metres that feet slide, the seconds of contact, the depth below the floor, and the longest flight (s).
+
+    Feet slide in the frames in which they are in contact with the ground. In flight no joint touches the ground.
+    """
     joints, _, frames = positions.shape
     lowest = np.full(frames, np.inf)
     for j in range(joints):
@@ -208,7 +211,10 @@ def _dot(a, b):  # type: ignore[no-untyped-def]
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def _knees_forwards(positions: F64, valid: Bool, legs: I64) -> float:
-    """Return the share of frames in which a knee bends forwards, relative to the line of the hips; NaN without legs."""
+    """Return the share of sampled frames in which a knee bends forwards; NaN if not both legs are known.
+
+    The direction of the bend is judged by the line through the hips.
+    """
     if len(legs) < 2:
         return np.nan
     counted, bent = 0, 0
@@ -274,7 +280,7 @@ def _angle(chord: float) -> float:
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def _jitter(positions: F64, valid: Bool, lag: int) -> float:
-    """Return the median norm of the third difference over a lag, from all samples or 2,000 to 4,000 of them."""
+    """Return the median norm of the positions' third differences over a lag, from about 3,000 samples at most."""
     joints, _, frames = positions.shape
     stride = max(1, (frames - 3 * lag) * joints // 2000)
     found = np.empty(max((frames - 3 * lag) * joints // stride + 1, 1))
@@ -389,7 +395,7 @@ def _angles(one: F64, other: F64) -> F64:
 
 
 def _spikes(bone: F64) -> Bool:
-    """Return the frames in which the direction of a bone (T, 3) differs from both the previous and the next frame."""
+    """Return the frames in which a bone (T, 3) turns away by more than `SPIKE` and turns back in the next frame."""
     step, over = _angles(bone[:-1], bone[1:]), _angles(bone[:-2], bone[2:])
     found = np.zeros(len(bone), np.bool_)
     found[1:-1] = 0.5 * (step[:-1] + step[1:] - over) > SPIKE

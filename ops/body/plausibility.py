@@ -216,7 +216,12 @@ def sampled_frames(positions: F64, counted: Bool) -> F64:
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def _geometry(sampled: F64, at: I64) -> tuple[F64, F64, F64]:
-    """Return the measures of single poses: lengths of limbs (8, 2), leads of axes (6,), and six others."""
+    """Return the measures of single poses: limbs (8, 2), leads of the axes (6,), and other measures (6,).
+
+    Limbs have their median length and its relative variation. The other measures are the length of the trunk, the
+    height of the neck above the shoulders, the agreement of legs, shoulders and knees with their names (left or right),
+    and the height of the lowest foot.
+    """
     joints, _, frames = sampled.shape
     seen = np.zeros(joints, np.bool_)
     for j in range(joints):

@@ -93,7 +93,7 @@ def global_transforms(parents: Sequence[int], linear: F64, offsets: F64) -> tupl
 
 
 def without_scale(linear: F64) -> F64:
-    """Return the rotations (..., 3, 3) nearest to matrices with scale; the identity for a singular matrix."""
+    """Return the rotations (..., 3, 3) nearest to matrices with scale; the identity for singular or mirroring ones."""
     sound = np.all(np.isfinite(linear), axis=(-1, -2), keepdims=True)
     left, sizes, right = np.linalg.svd(np.where(sound, linear, np.eye(3)))
     turned = left @ right

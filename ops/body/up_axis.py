@@ -149,7 +149,11 @@ def _middle(pair: F64, k: int, t: int) -> float:
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def posture_shares(hips: F64, head: F64, feet: F64) -> tuple[F64, F64, int]:
-    """Return for each axis the share of frames with the body standing along it, and counts of used and seen frames."""
+    """Return for each axis the weighted share and the number of frames in which the body is upright along it.
+
+    A frame has a lower weight if the body sits, or if only one half of the body is known. The last value is the number
+    of frames in which the joints are known.
+    """
     share, stood = np.zeros(6), np.zeros(6)
     seen = 0
     for t in range(hips.shape[2]):
@@ -180,7 +184,10 @@ def posture_shares(hips: F64, head: F64, feet: F64) -> tuple[F64, F64, int]:
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def point_spreads(positions: F64, hips: F64) -> tuple[F64, F64, bool]:
-    """Return the ranges of the lowest point (6,) and the hips (3,) in body sizes, and True for enough frames."""
+    """Return the ranges of the lowest point along each axis (6,) and of the hips (3,), in body sizes.
+
+    The last value is False if too few frames are known; the ranges are 0 then.
+    """
     joints, _, frames = positions.shape
     tracks = np.empty((9, frames))
     sizes = np.empty(frames)
@@ -219,7 +226,11 @@ def point_spreads(positions: F64, hips: F64) -> tuple[F64, F64, bool]:
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def least_leads(share: F64, standing: F64, lowest: F64, travel: F64, grounded: bool) -> F64:
-    """Return each axis's least lead (6,) over the axes of other directions and over its own opposite."""
+    """Return the lead of each axis (6,), which is the least amount by which it exceeds any other axis.
+
+    The lead over axes of other directions is a difference of scores, and the lead over the opposite axis is a
+    difference of posture relative to the sum of both.
+    """
     stance = share + _REST * standing
     score = stance.copy()
     for axis in range(6) if grounded else range(0):
