@@ -86,7 +86,7 @@ def person_extent(image: F32, background: F32 | None, rays: F64) -> tuple[float,
     -------
     tuple of (float, float), optional
         The median depth, and the extent of the points from the 1st to the 99th percentile along the longer axis of the
-        image; None with fewer than 0.5 % of the pixels.
+        image; None if fewer than 0.5 % of all pixels, or fewer than 20, are in front of the background.
     """
     seen = image > 0
     if background is not None:

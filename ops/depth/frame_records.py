@@ -62,13 +62,13 @@ class FrameRecords(Sequence[FrameResult | None]):
 
     @property
     def poses(self) -> F64:
-        """The poses, float64 (T, 24, 3); NaN without an image or a person."""
+        """Return the poses, float64 (T, 24, 3); NaN without an image or a person."""
         rows = self._rows[: self._length]
         return np.where(rows["is_image"][:, None, None], rows["pose"], np.nan)
 
     @property
     def costs(self) -> F64:
-        """The cost of each chosen pose, float64 (T,); NaN without an image or a person."""
+        """Return the cost of each chosen pose, float64 (T,); NaN without an image or a person."""
         rows = self._rows[: self._length]
         totals = np.concatenate([np.full((self._length, 1), np.nan), rows["costs"][:, :, 0]], axis=1)
         found: F64 = np.where(rows["is_image"], totals[np.arange(self._length), rows["hypothesis"]], np.nan)
@@ -76,7 +76,7 @@ class FrameRecords(Sequence[FrameResult | None]):
 
     @property
     def nbytes(self) -> int:
-        """The size of the records in bytes."""
+        """Return the size of the records in bytes."""
         return self._rows[: self._length].nbytes
 
     def __len__(self) -> int:

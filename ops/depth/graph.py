@@ -546,7 +546,8 @@ def split_people(cloud: FrameCloud, graph: PointGraph) -> list[I64]:
     Returns
     -------
     list of int64 array
-        Ascending indices of the points of each person; points of small components are assigned to the nearest person.
+        Ascending indices of the points of each person. Points of small components are assigned to the nearest person;
+        points of dropped components belong to nobody.
     """
     sizes = np.bincount(graph.labels[graph.labels >= 0], minlength=graph.components)
     large = np.flatnonzero(sizes > PERSON_POINTS)
@@ -594,7 +595,7 @@ def restrict_cloud(cloud: FrameCloud, rows: I64) -> FrameCloud:
 
 
 def _united(points: F64, components: list[I64]) -> list[I64]:
-    """Merge components that are not far apart."""
+    """Merge components, given by the indices of their points, whose distance is at most `APART_M`."""
     people: list[I64] = []
     for own in components:
         sample = _sampled(points, own)

@@ -226,7 +226,7 @@ def _fit(
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def add_points(body: FitBody, image: FrameImage, buffers: FitBuffers, pose: F64, sigma: float) -> None:
-    """Add the rows n · dq = d for sampled image points and the visible side of their nearest cone."""
+    """Add to the normal equations the rows n · dq = d that pull the visible side of cones to sampled image points."""
     points, guesses, placed, root = image.points, buffers.guesses, buffers.placed, pose[body.pivots.joints[0]]
     blends, pivots, faces, rigid = body.moving.blends, body.moving.rigid, buffers.sums.faces, buffers.sums.rigid
     every = max(1, len(points) // SAMPLED_POINTS)

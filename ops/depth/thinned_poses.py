@@ -167,9 +167,9 @@ class CellTable(NamedTuple):
     cells : int64 array (N, A)
         The cells of the kept poses.
     following : int64 array (N,)
-        The next kept pose in the hash slot of each kept pose, which was added before it; −1 for none.
+        For each kept pose, the kept pose that was added to the same hash slot before it; −1 for none.
     heads : int64 array (slots,)
-        The kept pose of each hash slot that was added last; −1 for none.
+        The kept pose that was added last to each hash slot; −1 for none.
     """
 
     axes: F32
@@ -289,7 +289,10 @@ def thin_poses(directions: F32, bone_lengths: F64, distance: float = DISTANCE_M)
 
 
 def _cell_axes() -> F32:
-    """Return orthonormal directions, each along the heights or depths of a limb, in which poses vary much."""
+    """Return orthonormal axes (5, 60): the mean height and depth of each arm, and the difference of the legs' depths.
+
+    Poses vary much along these axes.
+    """
     compared = [JOINTS[j] for j in _ORDERED]
     arm, leg = ("elbow", "wrist", "fingers"), ("knee", "ankle", "toes")
     groups: list[list[tuple[str, int, float]]] = [

@@ -219,7 +219,7 @@ class FrameResult(NamedTuple):
 
 
 class _Scene(NamedTuple):
-    """The extrema, directions and sizes of a frame that are computed before poses are fitted."""
+    """The points of a frame with their extrema, centre and facing direction, and numbers of components and people."""
 
     cloud: FrameCloud
     extrema: F64
@@ -364,7 +364,10 @@ class Reconstructor:
         return _Scene(cloud, cloud.points[nodes], centre, self._facing.copy(), *counts)
 
     def _vote(self, scene: _Scene, previous: F64 | None) -> FrameResult:
-        """Fit both hypotheses, and choose the one with the lower cost; at equal costs the local hypothesis."""
+        """Fit both hypotheses, and choose the one with the lower cost; at equal costs the local hypothesis.
+
+        A database pose that faces another direction must cost less than `TURNED_SHARE` of the local hypothesis.
+        """
         local = database = pose = None
         cost_local = cost_database = np.nan
         parts: list[PoseCost | None] = [None, None]
