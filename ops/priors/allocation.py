@@ -230,7 +230,10 @@ def allocate(hits: Sequence[MotionHit], frames: int, threshold: float) -> Alloca
 
 
 def _source(hits: Sequence[MotionHit], place: int) -> int:
-    """Return the cheapest hit of the same motion that costs less and does not overlap, −1 if there is none."""
+    """Return the index of the cheapest hit of the same motion that is cheaper than a hit and does not overlap it.
+
+    Return −1 if there is none.
+    """
     hit, best = hits[place], -1
     for other, lender in enumerate(hits):
         if lender.motion != hit.motion or not lender.cost < hit.cost:

@@ -263,7 +263,7 @@ def _round(
     tracker: Tracker, before: Track, without: Track, words: Callable[[Track], U64], motions: Sequence[PriorMotion],
     settings: Settings, number: int,
 ) -> tuple[Track, list[PriorRow]]:  # fmt: skip
-    """Run one round, and return its track and the allocated priors.
+    """Run one round, and return its track and the allocated priors; without any hit, the track without priors.
 
     Hits that contradict the observations are withdrawn, and other hits for the same frames are tried instead. If all
     hits are accepted, archive poses are withdrawn from single frames whose observations contradict them. The last
@@ -386,7 +386,8 @@ def cost_ratios(allocation: Allocation, costs: F64, without: F64) -> F64:
     Returns
     -------
     float64 array (H,)
-        The ratio of the sums over the frames of each hit; 1 if a hit has no frame, or both sums are 0.
+        The ratio of the sums over the frames of each hit; 1 if a hit has no frame, or both sums are 0; ∞ if only the
+        sum without priors is 0.
 
     Raises
     ------

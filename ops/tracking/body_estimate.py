@@ -104,9 +104,10 @@ def estimate_body(
     """Estimate the bone lengths of a person from keypoints.
 
     The length of a bone is the median over frames in which both of its ends are seen by three cameras, averaged over
-    both sides of the body. If the sides differ by more than a tenth, the length nearer to the mean body is used. Hips
-    and shoulders lie at half their distance from their midpoint. Bones without keypoints have the lengths of the mean
-    body, scaled like the arms, the legs, or the trunk.
+    both sides of the body. Two cameras suffice if hips and shoulders are seen by three cameras in no frame. If the
+    sides differ by more than a tenth, the length nearer to the scaled mean body is used. Hips and shoulders lie at half
+    their distance from their midpoint. Bones without keypoints have the lengths of the mean body, scaled like the arms,
+    the legs, or the trunk.
 
     Parameters
     ----------
@@ -129,9 +130,10 @@ def estimate_body(
     Raises
     ------
     ParameterError
-        Hips and shoulders are not among the keypoints, or are never seen together by two cameras.
+        Hips and shoulders are not among the keypoints, or are never seen together by two cameras; or shapes do not
+        agree.
     KinedexError
-        The distance of hips and shoulders is implausible for a body; the message suggests the unit.
+        The distance of hips and shoulders is implausible for a body; the message suggests a unit that would explain it.
     """
     frames, count = cameras.shape
     if points.shape != (frames, count, 3) or joints.shape != (count,):
@@ -169,7 +171,7 @@ def estimate_body(
 
 
 def _places(chain: KinematicChain, points: F64, cameras: I64, joints: I64) -> tuple[int, dict[str, F64]]:
-    """Return the smallest number of cameras, and the positions (T, 3) of the joints that are keypoints."""
+    """Return how many cameras must see a point (3 or 2), and the positions (T, 3) of the joints that are keypoints."""
     trunk = [chain.joint(name) for name in ("lhip", "rhip", "lshoulder", "rshoulder")]
     columns = {int(joint): p for p, joint in reversed(list(enumerate(joints))) if joint >= 0}
     missing = [chain.joints[joint] for joint in trunk if joint not in columns]

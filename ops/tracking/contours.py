@@ -124,7 +124,7 @@ class Observed:
 
     @property
     def frames(self) -> int:
-        """The number of frames of the recording."""
+        """Return the number of frames of the recording."""
         if isinstance(self.observations, Rays):
             return len(self.observations.confidence)
         if self.observations is not None:
@@ -134,7 +134,7 @@ class Observed:
 
     @property
     def seen(self) -> Bool:
-        """The frames that have any observation, bool (T,)."""
+        """Return a mask (T,) of the frames that have any observation."""
         seen = np.zeros(self.frames, np.bool_)
         if isinstance(self.observations, Rays):
             seen |= (self.observations.confidence >= MIN_CONFIDENCE).any(axis=(1, 2))
@@ -183,7 +183,7 @@ def contour_buffers(capsules: Capsules, joints: F64) -> Contours:
 def contour_normals(one: F64, other: F64, radius: float, centre: F64, share: float, normals: F64) -> bool:
     """Compute the two unit normals (2, 3) of a capsule's contour at a position on its axis, from 0 to 1.
 
-    Return False if there are none: the camera is inside the cylinder or on its axis.
+    Return False if there are none: the camera is inside the cylinder, or the capsule is a sphere.
     """
     ax, ay, az = other[0] - one[0], other[1] - one[1], other[2] - one[2]
     dx = one[0] + share * ax - centre[0]
@@ -468,7 +468,7 @@ def sums_cost(sums: ContourSums, joints: F64) -> float:
 
 @njit(cache=True, nogil=True)
 def add_sums(chain: ChainArrays, sums: ContourSums, joints: F64, buffers: FrameBuffers, gradient: F64) -> float:
-    """Add the correspondences to H and g of a frame, and return their cost.
+    """Add the correspondences to H and g of a frame, and return the change of their cost.
 
     Parameters
     ----------
@@ -486,7 +486,7 @@ def add_sums(chain: ChainArrays, sums: ContourSums, joints: F64, buffers: FrameB
     Returns
     -------
     float
-        The cost, as `sums_cost` returns it.
+        The change of the cost, as `sums_cost` returns it.
     """
     capsules, moves, vectors = sums.capsules, joints - sums.joints, sums.vectors.copy()
     others = np.empty_like(buffers.columns)

@@ -1,6 +1,7 @@
 """This module tracks a recording without priors, in two passes.
 
-The second pass restarts from the result of the first, with nodes interpolated in frames in which they are not seen.
+The second pass restarts from the result of the first, with nodes interpolated in frames in which they are not seen, and
+with the keypoints of the legs exchanged where a camera has confused left and right.
 """
 
 from __future__ import annotations
@@ -80,9 +81,9 @@ def find_start(
 ) -> Poses:
     """Return initial poses of a track: the chain fitted to points, interpolated where they are not reliable.
 
-    A triangulated point is only used if more than half of the cameras that see it agree on it. If two of four cameras
-    confuse left and right, each pair of cameras is consistent, and the choice between them would change from frame to
-    frame.
+    A triangulated point is only used if more than half of the cameras that see it agree on it, unless its keypoint has
+    no such point in any frame. If two of four cameras confuse left and right, each pair of cameras is consistent, and
+    the choice between them would change from frame to frame.
 
     Parameters
     ----------

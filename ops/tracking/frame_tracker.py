@@ -96,10 +96,11 @@ class FrameTrack:
     positions : float64 array (T, J, 3)
         The joints in metres.
     costs : float64 array (T,)
-        The costs that the guard of priors compares. With silhouettes alone these are the `differences`, else the
-        squared residuals of the observations.
+        The costs that are compared to decide whether priors are kept. With silhouettes alone these are the
+        `differences`, with 0 for NaN, otherwise the sums of the squared residuals of the observations.
     lost : bool array (T,)
-        True if a frame has too few observations or its pose would jump, so that the previous pose is kept.
+        True if a frame has too few observations or its pose would jump, so that the previous rotations are kept. The
+        position is also kept, unless two masks or more determine it.
     contours : int64 array (T,)
         The number of correspondences with silhouettes.
     shifts_px : float64 array (T,)
@@ -268,7 +269,7 @@ class _Frames:
         return _State(fit.place, fit.rotations, step, turned, fit, 0)
 
     def _best_fit(self, t: int, masks: list[tuple[View, U8]], last: _State) -> _Fit:
-        """Return the fit to silhouettes with priors, or without priors if the masks then fit much better."""
+        """Return the fit to silhouettes with priors, or without priors if the masks then fit clearly better."""
         priors = self.priors
         place = last.place + last.moved
         moved = last.rotations @ np.stack([rotation_of(_CARRIED * vector) for vector in last.turned])
@@ -298,7 +299,10 @@ class _Frames:
         return fit
 
     def _difference(self, masks: list[tuple[View, U8]], place: F64, rotations: F64) -> float:
-        """Return the pixels that are either body or foreground, relative to the foreground; NaN without masks."""
+        """Return the number of pixels that are body or foreground but not both, divided by the foreground's number.
+
+        The result is NaN without foreground.
+        """
         pose_nodes(self.body.arrays, place, rotations, self.buffers.turned, self.buffers.centres)
         pose_joints(self.body.arrays, self.buffers.turned, self.buffers.centres, self.sums.joints)
         apart, foreground = 0, 0
@@ -323,7 +327,7 @@ class _Frames:
         return (total, total / contour, shifts / total, cost) if total else (0, 0.0, np.nan, 0.0)
 
     def _solve(self, t: int, place: F64, rotations: F64, steps: int, priors: PriorArrays) -> float:
-        """Minimise the cost of a frame in place; return the squared residuals of rays and positions."""
+        """Minimise the cost of a frame in place; return the sum of the squared residuals of rays and positions."""
         evidence, buffers = self.evidence, self.buffers
         problem = TrackProblem(self.body.arrays, evidence, priors)
         _solve_frame(problem, self.sums, t, place, rotations, steps, self.units, buffers)
@@ -338,7 +342,10 @@ class _Frames:
         return bool(rays >= MIN_RAYS or positions >= MIN_PLACES)
 
     def _centred(self, masks: list[tuple[View, U8]], place: F64, rotations: F64) -> F64:
-        """Return the root position for which the middle of the body is where the rays of the masks' centroids meet."""
+        """Return the root position for which the middle of the body is where the rays of the masks' centroids meet.
+
+        Return `place` if there are fewer than two masks, or the rays are nearly parallel.
+        """
         if len(masks) < 2:
             return place
         capsules = self.capsules
@@ -370,7 +377,7 @@ def _solve_frame(
     units: F64,
     buffers: FrameBuffers,
 ) -> None:
-    """Take steps of Levenberg's method from the pose of a frame, in place, as long as the cost decreases."""
+    """Take up to `steps` steps of Levenberg's method from the pose of a frame, in place, until the cost converges."""
     chain = problem.chain
     size = PLACES + len(chain.axis_nodes)
     gradient, step, damped = np.empty(size), np.empty(size), np.empty((size, size))

@@ -46,9 +46,9 @@ class RayResiduals:
     Attributes
     ----------
     pixels : float64 array (T, V, P)
-        Distance of each point of the body from the ray of its keypoint, in pixels; NaN if it is not seen.
+        Distance of each point of the body from the ray of its keypoint, in pixels; NaN if the keypoint is not seen.
     weights : float64 array (T, V, P)
-        The robust weight of each, from 0 (excluded) to 1.
+        The robust weight of each distance, from 0 (excluded) to 1; 0 if the keypoint is not seen.
     """
 
     pixels: F64

@@ -328,12 +328,13 @@ def track_take_on_silhouettes(
     Returns
     -------
     TakeTrack
-        The track. With silhouettes alone its costs are the mean distances of the contour from the boundary in pixels.
+        The track. With silhouettes alone its costs are the mean distances of the contour from the boundary in pixels, 0
+        in frames without correspondences.
 
     Raises
     ------
     ParameterError
-        Numbers of frames differ, or `passes` is below 1.
+        There are no silhouettes, numbers of frames differ, or `passes` is below 1.
     """
     if passes < 1:
         raise ParameterError("passes", "1 or more", passes)

@@ -33,7 +33,8 @@ def triangulate(rays: Rays) -> tuple[F64, I64]:
 
     A point is the least-squares intersection of the rays, weighted by confidence. If its mean reprojection error
     exceeds `MAX_ERROR_PX`, the best subset of the cameras without one camera is tried, then without two cameras, and so
-    on down to two cameras.
+    on down to two cameras. With more than `MAX_CAMERAS` cameras, the best subset is found by removing one camera after
+    the other.
 
     Parameters
     ----------

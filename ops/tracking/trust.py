@@ -83,7 +83,7 @@ def trust(
     observations : Rays or JointPositions
         The observations of T frames.
     points : BodyPoints or None
-        The points that rays observe; None for places.
+        The points that rays observe; None for joint positions.
     poses : Poses
         The track, T poses.
     sigma_px : float, optional

@@ -146,7 +146,7 @@ def seen_joints(view: View, joints: F64, seen: F64) -> None:
 def sphere_interval(across: float, depth: float, radius: float) -> tuple[float, float]:
     """Return the smallest and the largest x/z of a sphere with its centre at x = across, z = depth.
 
-    The result is (−∞, ∞) if the sphere reaches the plane z = 0 of the camera.
+    The result is (−∞, ∞) if the sphere reaches the plane z = 0 of the camera or lies behind it.
     """
     if depth <= radius:
         return -np.inf, np.inf
@@ -201,7 +201,7 @@ def render_mask(capsules: Capsules, joints: F64, view: View) -> Bool:
     Returns
     -------
     bool array (H, W)
-        True if the ray of a pixel meets the body in front of the camera.
+        True if the ray of a pixel meets the body in front of the camera; all False if a joint is not finite.
     """
     if joints.ndim != 2 or joints.shape[1] != 3 or len(joints) <= max(capsules.starts.max(), capsules.ends.max()):
         raise ParameterError("joints", "of shape (J, 3), with all joints of the capsules", joints.shape)
