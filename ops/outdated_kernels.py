@@ -39,8 +39,8 @@ def forget_outdated(package: Path, name: str, environment: Mapping[str, str] = o
     Returns
     -------
     list of str
-        The files whose kernels were outdated, relative to the folder; empty if numba's cache is not writable, as it
-        then holds no kernels.
+        The files whose kernels were outdated, relative to the folder; empty if numba does not compile, or if its cache
+        is not writable, as it then holds no kernels.
     """
     place = _place(package, environment)
     if place is None:

@@ -46,18 +46,18 @@ class Confusion:
 
     @property
     def rows(self) -> tuple[str, ...]:
-        """The names of the rows."""
+        """Return the names of the rows."""
         return (*self.classes, NOTHING, EXTRA)
 
     @property
     def columns(self) -> tuple[str, ...]:
-        """The names of the columns."""
+        """Return the names of the columns."""
         return (*self.classes, NOTHING, LACKING)
 
 
 @dataclass(frozen=True)
 class ConfusedClass:
-    """The frames of one class that have another label or none, and their share of the class."""
+    """The number of frames of the row `label` that are labelled `taken_for` instead, and their share of the row."""
 
     label: str
     taken_for: str
@@ -111,7 +111,7 @@ def _marked(segments: Sequence[TakeSegment], place: Mapping[str, int], length: i
 
 
 def confusions(found: Confusion, most: int) -> list[ConfusedClass]:
-    """Return the largest confusions by frames, without those below half a percent of their row."""
+    """Return at most `most` confusions, the most frequent first, without those below half a percent of their row."""
     greatest = []
     for i, label in enumerate(found.rows):
         total = float(found.frames[i].sum())

@@ -49,7 +49,7 @@ class LimbMotion:
 def common_markers(markers: F64) -> F64:
     """Return the markers (T, M, 3) without rarely seen ones, so that at least one frame has all remaining markers.
 
-    At least three markers are kept.
+    At least three markers are kept, even if no frame has all of them.
     """
     seen = np.logical_and.reduce(np.isfinite(markers), axis=2)
     kept = list(range(markers.shape[1]))

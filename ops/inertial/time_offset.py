@@ -160,7 +160,7 @@ def find_offset(limbs: Sequence[Speeds], longest_s: float | None = None) -> Time
 
 
 def _limb_curve(limb: Speeds) -> tuple[int, F64] | None:
-    """Return the first lag in samples and the correlation at each lag of one limb; None if speeds are unknown."""
+    """Return the first lag in samples and the correlation at each lag of one limb; None if too few speeds are known."""
     known = np.isfinite(limb.sensor)
     if known.sum() < 2 or np.isfinite(limb.take).sum() < 2:
         return None

@@ -29,7 +29,8 @@ class Consensus:
     Parameters
     ----------
     origin : {"consensus", "best run"}
-        "best run" if the consensus ranked lower than the median run, or than the best run if that was required.
+        "best run" if the consensus ranked lower than the median run, or than the best run if that was required, or if
+        the runs agree on no keyframe.
     query : Individual
         The consensus, or the query of the best run.
     fitness, rank : float
@@ -118,7 +119,7 @@ def recurring_keyframes(
 
 
 def _majority(masks: U64, values: U64, share: float, features: int) -> tuple[int, int]:
-    """Return mask and value of the entries that at least a fraction of the keyframes fixes to the same value."""
+    """Return mask and value of the entries that a majority of the keyframes, at least a fraction, fixes alike."""
     fixed, ones = bits(masks, features), bits(values, features)
     on = ones.sum(axis=0)
     off = (fixed - ones).sum(axis=0)
@@ -168,8 +169,9 @@ def find_consensus(
     Returns
     -------
     Consensus
-        The consensus, or the best run if the consensus ranks below the run of `at_least`; of equally good runs the
-        first. The result never ranks below the median run, but its fitness, which ignores costs, may be lower.
+        The consensus, or the best run if the consensus ranks below the run of `at_least` or does not exist; of equally
+        good runs the first. The result never ranks below the median run, but its fitness, which ignores costs, may be
+        lower.
 
     Raises
     ------

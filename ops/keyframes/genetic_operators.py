@@ -75,7 +75,7 @@ class OperatorSettings(NamedTuple):
     least : int
         The smallest number of keyframes.
     tolerance : float
-        The upper end of U(0, 2) in Algorithm 2.
+        The upper end of the uniform distribution from which tolerances of gaps are drawn, U(0, 2) in Algorithm 2.
     centre : float
         The centre of initial gaps, as a fraction of the spacing of the columns.
     open_share : float
@@ -270,7 +270,10 @@ def _remove_keyframe(rng, population, row, least):  # type: ignore[no-untyped-de
 
 @njit(**INNER)
 def _change_entries(rng, population, row, allowed, specialise, share):  # type: ignore[no-untyped-def]
-    """Specialise a keyframe by fixing a wildcard, or generalise it by turning a share of its entries into wildcards."""
+    """Specialise a keyframe by fixing a wildcard, or generalise it by turning one entry or more into wildcards.
+
+    At most the fraction `share` of the entries is turned into wildcards, but always one, unless it is the last one.
+    """
     k = int(rng.random() * population.counts[row])
     masks, values = population.masks[row], population.values[row]
     total = count_bits(allowed & ~masks[k] if specialise else masks[k])

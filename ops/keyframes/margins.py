@@ -57,8 +57,7 @@ def margins_of(
         The number of features.
     policy : {"learned", "shared"}
         With "learned", margins are as wide as clips extend beyond the hits of each query, so that each clip with a hit
-        is covered. With "shared", they are shortened where a frame is covered by another query as well, at most to a
-        third.
+        is covered. With "shared", margins are shortened, at most to a third, as long as other queries cover the frames.
 
     Returns
     -------
@@ -100,7 +99,7 @@ class HitReach:
 
 
 def _shared(reached: Sequence[HitReach], learned: Sequence[tuple[int, int]]) -> list[tuple[int, int]]:
-    """Shorten the longest margin by one frame, as often as this leaves no frame of a clip uncovered.
+    """Shorten margins frame by frame, the longest first, as long as every frame that was covered remains covered.
 
     No margin becomes shorter than 1 / `ALONE` of its length, because a motion of another person may be found by only
     one of the queries.

@@ -226,7 +226,7 @@ def map_clusters(layout: Layout, least: int | None = None) -> I64:
 
 
 def outline(positions: F32) -> F32:
-    """Return the corners of the convex hull of points, in order; only two points if the hull has no area.
+    """Return the corners of the convex hull of points, in order; two points at most if the hull has no area.
 
     Parameters
     ----------

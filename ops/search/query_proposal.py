@@ -71,8 +71,8 @@ def propose_poses(clip: U64, counts: Sequence[SetCounts], most: int, known: int 
 
     For every run of equal words in the example, a pose is built greedily: the feature that leaves the fewest matching
     frames of the archive is added next, of those that do not change nearby. Then the sequence of poses with the
-    smallest product of shares is chosen. Successive poses must differ, and their distance must be at least half of
-    that of evenly spaced poses.
+    smallest product of shares is chosen. Successive poses must differ, and must be at least ⌊L / (2 · most)⌋ frames
+    apart, about half the distance of evenly spaced poses.
 
     Parameters
     ----------

@@ -34,7 +34,7 @@ def clip_remarks(names: Sequence[str], lengths: Sequence[int], costs: Sequence[f
     lengths : sequence of int
         The lengths of the clips, in frames.
     costs : sequence of float
-        The cost of aligning each clip with the others (`Learned.clip_costs`).
+        The cost of aligning each clip with the others (`LearnedTemplate.clip_costs`).
 
     Returns
     -------
@@ -68,7 +68,7 @@ def far_clips(costs: Sequence[float]) -> list[int]:
 
 
 def far_limit(costs: Sequence[float]) -> float | None:
-    """Return the cost above which a clip is far from all others; None for fewer than four clips.
+    """Return the lowest cost at which a clip is far from all others; None for fewer than four clips.
 
     Parameters
     ----------

@@ -265,10 +265,10 @@ def contrast_weights(template: Template, accepted: Sequence[U64], rejected: Sequ
     For each feature, the rates at which accepted and rejected clips contradict the template are compared. The rate is a
     mean over clips of the fraction of the feature's entries that a clip contradicts. Half a clip of either kind is
     added for smoothing, so that few clips have little effect. If rejected clips contradict a feature more often, its
-    weight is 1 plus the logarithm of the ratio of the odds. If contradictions of features were independent, costs would
-    then differ by the logarithm of the likelihood ratio, which separates accepted from rejected clips best. All other
-    features keep the weight 1. They distinguish the motion from other motions of an archive, which rejected intervals
-    do not represent, since all of them are similar to the motion.
+    weight is 1 plus the logarithm of the ratio of the odds, divided by the ratio that smoothing alone would give. If
+    contradictions of features were independent, costs would then differ by the logarithm of the likelihood ratio, which
+    separates accepted from rejected clips best. All other features keep the weight 1. They distinguish the motion from
+    other motions of an archive, which rejected intervals do not represent, since all of them are similar to the motion.
 
     Parameters
     ----------
