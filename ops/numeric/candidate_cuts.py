@@ -41,13 +41,13 @@ class Candidates(NamedTuple):
 
 
 class _Walk(NamedTuple):
-    """The most probable sequences of motions up to a frame, for each of the costs K; values are less the greatest.
+    """The most probable sequences of motions up to a frame, for each of K costs, with values relative to the greatest.
 
     Attributes
     ----------
     entering : float32 array (K + 1, W)
-        What beginning a class costs (negative) in the columns of first states, for each cost and for none; −∞ in
-        others.
+        The negative cost of beginning a class, in the columns of first states, for each of the costs and for no cost;
+        −∞ in other columns.
     values : float32 array (K, W + 2)
         The value of the best sequence that ends in each column.
     begins : int32 array (K, W + 2)
@@ -69,7 +69,7 @@ def candidate_cuts(projected: F32, columns: StateColumns) -> Candidates:
     Parameters
     ----------
     projected : float32 array (L, d + 1)
-        The projected frames of a take, with a one behind each.
+        The projected frames of a take, with a 1 appended to each.
     columns : StateColumns
         The states.
     """
@@ -102,7 +102,7 @@ def _walk(evidence: F32, usual: F32, lasts: I64, first: int, walk: _Walk, ended:
     evidence : float32 array (n, W)
         The evidence of each column in each frame.
     usual : float32 array (n,)
-        That of the background, which counts 0.
+        The evidence of the background, which is subtracted.
     lasts : int64 array (P,)
         The columns of last states.
     first : int
@@ -112,7 +112,7 @@ def _walk(evidence: F32, usual: F32, lasts: I64, first: int, walk: _Walk, ended:
     ended : int32 array (K, L)
         For each frame of the take, the beginning of the motion that ends before it in the best sequence; written.
     gains : float64 array (K, L + 1)
-        The value of the best sequence before each frame less that before the frame before; written.
+        Output: by how much the value of the best sequence before each frame exceeds that before the previous frame.
     """
     for t in range(len(evidence)):
         at = first + t
@@ -134,7 +134,7 @@ def _walk(evidence: F32, usual: F32, lasts: I64, first: int, walk: _Walk, ended:
 
 @nb.njit(cache=True, nogil=True)
 def _step_with_begins(values: F32, begins: I32, evidence: F32, entering: F32, end: float, more: float, at: int) -> None:
-    """Move the best paths into each column one frame on, and the beginnings of their last motions (kernel).
+    """Advance the best path into each column by one frame, with the beginning of its last motion (kernel).
 
     Parameters
     ----------
@@ -144,7 +144,7 @@ def _step_with_begins(values: F32, begins: I32, evidence: F32, entering: F32, en
     evidence : float32 array (W,)
         The evidence of each column in the next frame.
     entering : float32 array (W,)
-        What beginning a motion in each column costs (negative).
+        The negative cost of beginning a motion in each column.
     end : float
         The value of the best path that may be followed by another motion.
     more : float

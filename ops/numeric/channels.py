@@ -1,7 +1,7 @@
-"""This module computes channels: numbers that describe each frame of a body, whatever its place, heading and size.
+"""This module computes channels: numbers of each frame that do not depend on a body's position, heading and size.
 
-Lengths are in leg lengths of the body, and directions are those of its heading: left, up, forwards. Jumps, as where
-two clips meet, reach channels of velocity only, which are limited.
+Lengths are in leg lengths of the body, and directions are those of its heading: left, up, forwards. A jump between two
+frames, as where clips were joined, only changes channels of velocities, whose values are limited.
 """
 
 from __future__ import annotations
@@ -46,12 +46,12 @@ class Channels:
 
     @property
     def joints(self) -> int:
-        """The number of joints J."""
+        """Return the number of joints J."""
         return (self.frames.shape[1] - 3 * len(EXTREMITIES) - 3) // 4
 
     @property
     def pose(self) -> F32:
-        """The joints other than the root, relative to the ground below the root, float32 (L, 3 (J − 1)).
+        """Return the joints other than the root, relative to the ground below the root, float32 (L, 3 (J − 1)).
 
         They are in leg lengths, as left, up, forwards.
         """
@@ -59,18 +59,18 @@ class Channels:
 
     @property
     def velocities(self) -> F32:
-        """The velocities of `EXTREMITIES` in leg lengths a second, float32 (L, 15)."""
+        """Return the velocities of `EXTREMITIES` in leg lengths per second, float32 (L, 15)."""
         first = 3 * self.joints - 3
         return self.frames[:, first : first + 3 * len(EXTREMITIES)]
 
     @property
     def speeds(self) -> F32:
-        """The speeds of all joints in leg lengths a second, float32 (L, J)."""
+        """Return the speeds of all joints in leg lengths per second, float32 (L, J)."""
         return self.frames[:, -self.joints - 6 : -6]
 
     @property
     def root(self) -> F32:
-        """The root's channels, float32 (L, 6).
+        """Return the root's channels, float32 (L, 6).
 
         Its velocity (left, up, forwards), the turning rate in radians a second (positive to the left), its absolute
         value, and the root's height.
@@ -148,7 +148,8 @@ def _heading_and_legs(positions: F64 | F32, pairs: I64, legs: I64) -> tuple[F64,
     Returns
     -------
     heading : float64 array (L,)
-        It is kept where it is not determined; NaN if it never is.
+        The heading; where it is not determined, that of the frame before, or else of the first frame that has one; NaN
+        if no frame has one.
     lengths : float64 array (2, L)
         The length of the left and of the right leg.
     """

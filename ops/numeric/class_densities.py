@@ -1,8 +1,8 @@
-"""This module compares descriptors with classes, as normal densities with one covariance that examples teach.
+"""This module compares descriptors with classes, which are modelled by normal densities with a common covariance.
 
-Any examples can be left out, at the cost of the sums over these alone. The covariance is that within classes, shrunk
-towards its diagonal as by `discriminant`. A squared distance says how unlike a class something is, on a scale that is
-the same for all classes; half of it is the negative logarithm of the density, up to a constant.
+Densities without some of the examples are computed quickly, from sums over only these. The covariance is that within
+classes, shrunk towards its diagonal as in `discriminant`. The squared distance between a descriptor and a class has the
+same scale for all classes; half of it is the negative logarithm of the density, up to a constant.
 """
 
 from __future__ import annotations
@@ -61,7 +61,7 @@ class ClassDensities:
         Returns
         -------
         float64 array (D,)
-            The shares, whose sum is half the squared distance to the other class less that to the one.
+            The shares. Their sum is half of the squared distance to `other` minus half of that to `one`.
         """
         difference, middle = self.means[one] - self.means[other], 0.5 * (self.means[one] + self.means[other])
         away = (descriptor - self.centre) / self.scale - np.linalg.solve(self.whitening.T, middle)
@@ -70,7 +70,7 @@ class ClassDensities:
 
 
 class ClassSums:
-    """The sums over examples from which densities follow, also those of all examples but some.
+    """The sums over examples from which class densities are computed, also without some of the examples.
 
     Parameters
     ----------
@@ -95,7 +95,7 @@ class ClassSums:
         Parameters
         ----------
         left_out : int64 array (B,)
-            The places of examples, each once.
+            The indices of the examples to leave out, without duplicates.
         """
         sizes, sums, products = (whole - part for whole, part in zip(self._all, self._sums_of(left_out), strict=True))
         known = sizes > 0
@@ -106,6 +106,6 @@ class ClassSums:
         return ClassDensities(self.centre, self.scale, whitening, np.where(known[:, None], means @ whitening, np.nan))
 
     def _sums_of(self, places: I64) -> tuple[F64, F64, F64]:
-        """Return the number and the sum of each class's examples among some, and the products of all of these."""
+        """Return of given examples the number (P,) and sum (P, D) of each class, and the sum of products (D, D)."""
         rows, member = self._rows[places], self._classes[places][:, None] == np.arange(self._count)
         return member.sum(axis=0).astype(np.float64), member.T.astype(np.float64) @ rows, rows.T @ rows

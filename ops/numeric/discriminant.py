@@ -40,7 +40,7 @@ class Discriminant:
 
     @classmethod
     def fit(cls, descriptors: F64, classes: I64, shrinkage: float = SHRINKAGE) -> Discriminant:
-        """Fit a discriminant; all classes are equally probable beforehand.
+        """Fit a discriminant with equal prior probabilities of all classes.
 
         Parameters
         ----------
@@ -77,7 +77,7 @@ class Discriminant:
 
 
 def shrunk(covariance: F64, share: float) -> F64:
-    """Return a covariance whose other entries are reduced by a share, with `FLOOR` added to its variances."""
+    """Return a covariance with off-diagonal entries reduced by a share, and `FLOOR` of the mean variance added."""
     variances = np.diag(covariance)
     found = (1.0 - share) * covariance
     np.fill_diagonal(found, variances + FLOOR * variances.mean() + 1e-9)

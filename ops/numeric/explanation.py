@@ -1,9 +1,9 @@
-"""This module explains which class a span of frames is of, by quantities that people read, with their numbers.
+"""This module explains why a span of frames belongs to a class, by quantities that people understand and their values.
 
 The evidence for one class against another is linear in the descriptor of the span, so that each number of the
 descriptor has a share. The shares of numbers that belong together (the height of a hand, the turn, the duration) are
-added. As shares of numbers that vary together can only be read together, a quantity is named where its own value says
-the same as its share: for a class, where it lies nearer to the examples of this class.
+added. Since numbers are correlated, the share of a quantity can contradict its value. A quantity is only named if both
+agree: a quantity with a positive share must be nearer to the median of this class's examples than of the other's.
 """
 
 from __future__ import annotations
@@ -42,14 +42,14 @@ PARTS = {
 
 @dataclass(frozen=True)
 class Quantity:
-    """A quantity of a span that people read.
+    """A quantity of a span that people understand.
 
     Attributes
     ----------
     name, unit : str
         The name and the unit.
     more, less : str
-        What a span does of which the quantity is larger, or smaller, than in examples.
+        The words for a quantity that is larger, or smaller, than in examples.
     numbers : tuple of int
         The numbers of the descriptor that belong to it.
     read : callable
@@ -123,7 +123,7 @@ class Explanation(NamedTuple):
 def explain(
     descriptor: F64, examples: F64, labels: Sequence[str], joints: Sequence[str], label: str | None = None
 ) -> Explanation:
-    """Explain how far a span is of a class.
+    """Explain the evidence that a span belongs to a class.
 
     Parameters
     ----------
@@ -185,13 +185,13 @@ def _reason(quantity: Quantity, value: float, own: F64, theirs: F64, share: floa
 
 
 def _amount(quantity: Quantity, value: float, low: float, high: float, where: str) -> str:
-    """Return the sentence about an amount."""
+    """Return a sentence that compares an amount with those of the examples."""
     examples = f"{where} ({low:.2f} to {high:.2f})" if where else f", examples {low:.2f} to {high:.2f}"
     return f"{quantity.name} {value:.2f} {quantity.unit}{examples}"
 
 
 def _turned(value: float, low: float, high: float) -> str:
-    """Return the sentence about a turn."""
+    """Return a sentence that compares a turn, in degrees, with those of the examples."""
     sides = ["left" if one >= 0 else "right" for one in (value, low, high)]
     degrees = [abs(round(one)) for one in (value, low, high)]
     examples = f"{degrees[1]}° {sides[1]} to {degrees[2]}° {sides[2]}"
@@ -202,7 +202,7 @@ def _turned(value: float, low: float, high: float) -> str:
 
 @lru_cache(8)
 def quantities_of(joints: tuple[str, ...]) -> tuple[Quantity, ...]:
-    """Return the quantities of descriptors of a body with some joints, the root first."""
+    """Return the quantities of descriptors of a body with the given joints, of which the root is the first."""
     pose, speeds = 3 * (len(joints) - 1), len(joints)
     half = pose + speeds + 6
     root = pose + speeds

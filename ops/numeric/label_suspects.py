@@ -1,10 +1,10 @@
 """This module ranks labels by how much better another label would fit: another class, side, interval or rate.
 
-Each label is judged by what the labels of other takes teach. The descriptor of its frames is compared with its class,
-as it is and as it would be under another label: its distances to other classes, that of its mirror image, those of
-intervals around it, and those of its frames at twice and half the rate. The ratio of distances to the best of these is
-measured against what is usual among the labels of the class, since some classes have looser edges and nearer
-neighbours than others. Labels that are probably wrong do not teach.
+Each label is judged by models that are learned from the labels of other takes. The distance between the descriptor of
+its frames and its class is compared with the distances under other labels: those to other classes, that of its mirror
+image, those of intervals around it, and those of its frames at twice and half the rate. The ratio of distances to the
+best of these is compared with what is usual among the labels of the class, since some classes have less exact
+boundaries, or are more similar to other classes. Labels that are probably wrong are excluded from learning.
 """
 
 from __future__ import annotations
@@ -86,8 +86,8 @@ class Judgement:
     probability : float
         The probability of its class, by the labels of other takes.
     suspicion : float
-        How much better the best other explanation fits than is usual in its class, in spreads of the class, of the
-        logarithm of the ratio of distances.
+        How much better the best other explanation fits than is usual in the class: the logarithm of the ratio of
+        distances minus its usual value, in units of its spread in the class.
     kind : str
         The kind of mistake, one of `KINDS`; empty if nothing fits better.
     label : str
@@ -112,7 +112,7 @@ Windows = Callable[[], Iterable[tuple[int, Window]]]
 
 
 def context_of(start: int, stop: int, frames: int) -> tuple[int, int]:
-    """Return the interval around a label that judging it reads, within a take of so many frames."""
+    """Return the interval around a label whose frames are needed to judge it, in a take of `frames` frames."""
     around = int(np.ceil(SHIFTS[-1] * (stop - start))) + MARGIN_FRAMES
     return max(start - around, 0), min(stop + around, frames)
 
@@ -162,14 +162,14 @@ def judge_labels(places: Sequence[Place], windows: Windows, joints: Sequence[str
 
 
 def _as_labelled(window: Window, joints: Sequence[str], rate_hz: float) -> F64:
-    """Return the descriptors of a label: as it is, in the mirror, and at each of `RATES`, float64 (4, D)."""
+    """Return the descriptors of a label, of its mirror image, and of its frames at each of `RATES`, float64 (4, D)."""
     image = window._replace(positions=mirrored_positions(window.positions, joints))
     rates = [described(window, joints, factor * rate_hz) for factor in RATES]
     return np.stack([described(window, joints, rate_hz), described(image, joints, rate_hz), *rates])
 
 
 def _folds(takes: I64, classes: I64) -> I64:
-    """Divide labels into parts that are left out together: those of a take, or single ones of classes in one take."""
+    """Return the fold of each label: labels of one take share a fold, unless it would have all labels of a class."""
     names, own = np.unique(takes, return_inverse=True)
     count = max(min(len(names), MOST_FOLDS), 2)
     folds: I64 = own % count
@@ -181,14 +181,14 @@ def _folds(takes: I64, classes: I64) -> I64:
 
 
 class _LeftOut:
-    """The densities of the classes for each part of the labels, of the labels that are not in it.
+    """The densities of the classes for each fold of labels, learned from the labels of the other folds.
 
     Parameters
     ----------
     descriptors : float64 array (E, D)
         The descriptors of the labels.
     classes, folds : int64 array (E,)
-        The class and the part of each label.
+        The class and the fold of each label.
     count : int
         The number of classes.
     """
@@ -211,21 +211,21 @@ class _LeftOut:
         ]
 
     def distances(self, descriptors: F64) -> F64:
-        """Return the squared distances (E, P) of a descriptor of each label to the classes that others teach."""
+        """Return the squared distances (E, P) of a descriptor of each label to classes learned from other folds."""
         found = np.empty((len(descriptors), len(self.densities[0].means)))
         for fold, one in enumerate(self.densities):
             found[self.folds == fold] = one.squared_distances(descriptors[self.folds == fold])
         return found
 
     def probabilities(self, distances: F64) -> F64:
-        """Return the probability of each label's own class, of its distances to all."""
+        """Return the probability of each label's own class (E,), from the squared distances (E, P) to all classes."""
         logs = -distances / (2.0 * TEMPERATURE)
         shares = np.exp(logs - logs.max(axis=1, keepdims=True))
         found: F64 = self.own(shares) / shares.sum(axis=1)
         return found
 
     def own(self, values: F64) -> F64:
-        """Return of values (E, P) those of each label's own class, float64 (E,)."""
+        """Return from values (E, P) the value of each label's own class, float64 (E,)."""
         found: F64 = np.take_along_axis(values, self.classes[:, None], axis=1)[:, 0]
         return found
 
@@ -239,7 +239,7 @@ class _Moved(NamedTuple):
 
 
 def _moved(windows: Windows, taught: _LeftOut, rows: dict[int, int], joints: Sequence[str], rate_hz: float) -> _Moved:
-    """Return the best other interval of each label; `rows` are the rows of the labels' numbers."""
+    """Return the best other interval of each label; `rows` is a dict from a label's number to its row."""
     found = _Moved(np.full(len(rows), np.inf), np.zeros(len(rows), np.int64), np.zeros(len(rows), np.int64))
     for number, window in windows():
         row = rows.get(number)
@@ -308,13 +308,16 @@ def _judged(
 
 
 def _two_sided(gains: F64, classes: I64) -> BoolArray:
-    """Return which labels are of classes without a side, by the gains (E,) of mirror images."""
+    """Return a mask (E,) of the labels whose classes have no side, judged by the gains (E,) of mirror images."""
     usual = {one: _usual(gains[classes == one])[0] for one in np.unique(classes).tolist()}
     return np.array([usual[one] > -np.log(ONE_SIDED) for one in classes.tolist()])
 
 
 def _spreads(gains: F64, classes: I64) -> F64:
-    """Return how far gains (E,) lie above the usual one of their class, in spreads of it."""
+    """Return how far gains (E,) are above the median of their class, in units of the class's spread.
+
+    Median and spread of a class with few labels are averaged with those of all classes.
+    """
     usual, spread = _usual(gains)
     found = np.empty(len(gains))
     for one in np.unique(classes):
@@ -327,7 +330,7 @@ def _spreads(gains: F64, classes: I64) -> F64:
 
 
 def _usual(values: F64) -> tuple[float, float]:
-    """Return the median of those values that are finite, and the median distance from it."""
+    """Return the median of the finite values, and the median distance from it; 0 and 0 if there are none."""
     finite = values[np.isfinite(values)]
     if not len(finite):
         return 0.0, 0.0

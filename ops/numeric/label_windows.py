@@ -1,4 +1,4 @@
-"""This module describes labels, and examples, by the frames of their takes."""
+"""This module computes the descriptors of labels and examples from the frames of their takes."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ class Window(NamedTuple):
     positions : float64 array (L, J, 3)
         The joints in metres, Y up; NaN where they are not known.
     start, stop : int
-        The label within them.
+        The label, a half-open range of these frames.
     """
 
     positions: F64

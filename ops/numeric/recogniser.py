@@ -1,7 +1,7 @@
 """This module recognises motions by numbers: it learns classes from examples, and labels takes.
 
-Rows of states say where a motion may begin and end, and a discriminant says which class exactly this span is; the spans
-with the greatest sum of scores are the labels.
+Rows of states determine where a motion may begin and end, and a discriminant which class a span belongs to. The labels
+are the spans with the greatest sum of scores.
 """
 
 from __future__ import annotations
@@ -62,7 +62,7 @@ class Recognised(NamedTuple):
     Attributes
     ----------
     start, stop : int
-        Its frames, stop excluded.
+        The half-open range of its frames.
     label : str
         The name of the class.
     probability : float
@@ -89,13 +89,13 @@ class Recogniser:
     classes : tuple of str
         The names of the classes.
     rows : StateRows
-        Their states.
+        The states of the classes.
     discriminant : Discriminant
         The discriminant that tells spans of the classes apart.
     log_frames : float64 array (P,)
         The mean of the logarithm of the examples' lengths.
     spread : float
-        The variance of it within classes.
+        The variance of this logarithm within classes.
     """
 
     joints: tuple[str, ...]
@@ -172,7 +172,7 @@ class Recogniser:
         positions : float64 array (L, J, 3)
             The joints in metres, at the rate of the examples.
         readiness : float
-            The evidence that is added to each frame of a label; less leaves more frames without one.
+            The evidence that is added to each frame of a label; with a lower value, more frames have no label.
         """
         found = channels(positions, self.joints, self.rate_hz)
         projected, columns = self.rows.project(found.frames), self.rows.columns
@@ -204,6 +204,6 @@ def _whole(found: Channels, rate_hz: float) -> F64:
 
 
 def _taught(found: Channels, rate_hz: float) -> F64:
-    """Return the descriptors of an example with its own cuts and with others, float64 (len(CUTS), D)."""
+    """Return the descriptors of an example and of parts of it, the spans of `CUTS`, float64 (len(CUTS), D)."""
     starts, stops = np.rint(np.array(CUTS) * len(found.yaw)).astype(np.int64).T
     return SpanSums(found, rate_hz).describe(starts, stops)

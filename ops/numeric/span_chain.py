@@ -2,7 +2,7 @@
 
 A span has a score for each class: the evidence of the class's row of states along the best path, and the span's worth,
 which says how well it fits the class as a whole. The best chain has the greatest sum of scores; frames may be left out
-of it. Paths are looked for only where a bound of their evidence says that the span might enter the chain.
+of it. Paths are only computed if an upper bound of their evidence allows the span to be part of the chain.
 """
 
 from __future__ import annotations
@@ -24,16 +24,16 @@ SLACK = 1.0
 
 
 class Spans(NamedTuple):
-    """The spans between candidate cuts whose length is one of some class, ordered by their beginning, then their end.
+    """The spans between candidate cuts with an admissible length of at least one class, ordered by beginning and end.
 
     Attributes
     ----------
     begins, ends : int64 array (M,)
-        The places of both cuts of each span among the candidates.
+        The indices of the cuts at which each span begins and ends.
     starts, stops : int64 array (M,)
-        Its frames, stop excluded.
+        The half-open range of frames of each span.
     fits : bool array (M, P)
-        Whether its length is one of each class.
+        True if the length of the span is admissible for the class.
     """
 
     begins: I64
@@ -49,11 +49,11 @@ class Chain(NamedTuple):
     Attributes
     ----------
     spans : int64 array (n,)
-        Their places among all spans.
+        The indices of these spans among all spans.
     classes : int64 array (n,)
-        Their classes.
+        The class of each span.
     scores : float64 array (n,)
-        Their scores: the evidence of the path through the states of the class, and the worth.
+        The score of each span: the evidence of the path through the states of the class, plus the worth.
     """
 
     spans: I64
@@ -67,7 +67,7 @@ class _Evidence(NamedTuple):
     Attributes
     ----------
     projected : float32 array (L, d + 1)
-        The projected frames, with a one behind each.
+        The projected frames, with a 1 appended to each.
     background : float32 array (L,)
         The evidence of the background.
     states : float32 array (d + 1, W)
@@ -114,12 +114,12 @@ def best_chain(
 ) -> Chain:
     """Return the chain with the greatest sum of scores.
 
-    Of classes with equal scores a span has the first.
+    Of classes with equal scores, the first is chosen for a span.
 
     Parameters
     ----------
     projected : float32 array (L, d + 1)
-        The projected frames of a take, with a one behind each.
+        The projected frames of a take, with a 1 appended to each.
     columns : StateColumns
         The states.
     candidates : Candidates
@@ -233,7 +233,7 @@ def _paths(evidence: _Evidence, k: int, start: int, stops: I64, computed: I64, r
     start : int
         The first frame of all paths.
     stops : int64 array (n,)
-        The frames behind each path in ascending order.
+        The frame after the last one of each path, ascending.
     computed : int64 array (P,)
         The frame up to which the ring has the evidence of each class; it is continued.
     readiness : float
@@ -268,7 +268,7 @@ def _paths(evidence: _Evidence, k: int, start: int, stops: I64, computed: I64, r
 
 @nb.njit(cache=True, nogil=True)
 def _step(values: F32, evidence: F32, readiness: float) -> None:
-    """Move the best paths into each column one frame on (kernel)."""
+    """Advance the best path into each column by one frame, in place (kernel)."""
     for i in range(len(evidence)):
         one, two, best = values[i + 1], values[i + 2], values[i]
         best = one if one > best else best
@@ -283,7 +283,7 @@ def _fill_row(projected: F32, background: float, states: F32, row: F32) -> None:
     Parameters
     ----------
     projected : float32 array (d + 1,)
-        The projected frame, with a one behind.
+        The projected frame, with a 1 appended.
     background : float
         The evidence of the background.
     states : float32 array (d + 1, n)

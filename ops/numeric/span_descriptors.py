@@ -1,4 +1,4 @@
-"""This module describes spans of a take by pooled numbers, each at the cost of a difference of two sums.
+"""This module describes spans of a take by pooled numbers, each computed as a difference of two cumulative sums.
 
 A descriptor has the means and deviations of poses, of logarithms of speeds, and of the root's channels; the net turn,
 with and without its sign; the displacement sideways and forwards; and the logarithm of the duration. A tenth of a
@@ -24,7 +24,7 @@ TRIMMED_S = 0.1
 
 
 class SpanSums:
-    """The channels of a take as numbers of which spans need sums.
+    """The channels of a take in the form from which the descriptors of spans are computed by cumulative sums.
 
     Parameters
     ----------

@@ -1,7 +1,7 @@
 """This module lays out the states of all classes as columns of one matrix, so that evidence is a product of matrices.
 
-The classes follow each other, each from its last state to its first and with two columns of no evidence behind it: a
-path takes a state from its own column or one of the two behind it, and never from another class.
+The classes follow each other. Each has its states from the last to the first, followed by two columns without evidence:
+a path comes to a column from this column or one of the next two, and so never from another class.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ class StateColumns:
     Attributes
     ----------
     usual : float32 array (d + 1, B)
-        What a projected frame, with a one behind it, is multiplied by for the evidence of each usual frame.
+        The matrix by which a projected frame, with a 1 appended, is multiplied to get the evidence of each usual frame.
     states : float32 array (d + 1, W)
         The same for the states and the columns between classes.
     lasts, firsts : int64 array (P,)
@@ -46,8 +46,8 @@ class StateColumns:
     def of_means(cls, usual: F64, means: F64, firsts: I64, weight: float) -> StateColumns:
         """Lay out the means of states.
 
-        Half a squared distance is that of the frame and the mean from zero less their product; that of the frame is the
-        same for all means, and left out.
+        Half a squared distance is half the squared lengths of frame and mean minus their scalar product. The length of
+        the frame is the same for all means, and is left out.
 
         Parameters
         ----------
@@ -58,7 +58,7 @@ class StateColumns:
         firsts : int64 array (P + 1,)
             The first state of each class, and S.
         weight : float
-            The evidence that half a squared distance counts against a state.
+            The factor by which half a squared distance is multiplied and subtracted from the evidence of a state.
         """
         sizes = np.diff(firsts)
         begins = np.cumsum([0, *(sizes + 2)])
@@ -76,13 +76,13 @@ class StateColumns:
     def pieces(self, projected: F32) -> Iterator[tuple[int, F32, F32]]:
         """Yield pieces of a take: the first frame, and the evidence of all columns and of the background.
 
-        The evidence is reused by the next piece, float32 (n, W) and (n,), and that of columns is not yet less than that
-        of the background.
+        The evidence is float32 (n, W) and (n,). The array of the columns is overwritten by the next piece; the evidence
+        of the background has not been subtracted from it.
 
         Parameters
         ----------
         projected : float32 array (L, d + 1)
-            The projected frames of a take, with a one behind each.
+            The projected frames of a take, with a 1 appended to each.
         """
         columns = np.empty((PIECE, self.states.shape[1]), np.float32)
         for first in range(0, len(projected), PIECE):
@@ -91,6 +91,6 @@ class StateColumns:
 
 
 def _terms(means: F64, weight: float) -> F32:
-    """Return what a frame, with a one behind it, is multiplied by, float32 (d + 1, M)."""
+    """Return the matrix (d + 1, M) by which a frame, with a 1 appended, is multiplied to get the evidence of means."""
     squares = (means**2).sum(axis=1)
     return np.concatenate([weight * means.T, [-0.5 * weight * squares]]).astype(np.float32)

@@ -1,8 +1,8 @@
 """This module models each class by a row of states: means of channels that follow each other in its motions.
 
 All states share one covariance, a background of usual frames stands for everything else, and evidence is a difference
-of log-likelihoods. A path goes through a row from its first to its last state, and stays, takes the next state, or
-leaves one out from frame to frame.
+of log-likelihoods. A path goes through a row from its first to its last state. From frame to frame, it stays in its
+state, advances to the next state, or skips one.
 """
 
 from __future__ import annotations
@@ -53,7 +53,7 @@ class StateRows:
     centre : float64 array (C,)
         The mean of the channels.
     projection : float64 array (C, d)
-        Centred channels times this have the covariance 1 within states.
+        The matrix by which centred channels are multiplied, so that their covariance within states is the identity.
     states : float64 array (S, d)
         The projected means of all states, class by class.
     firsts : int64 array (P + 1,)
@@ -117,11 +117,11 @@ class StateRows:
 
     @cached_property
     def columns(self) -> StateColumns:
-        """The states as columns of one matrix."""
+        """Return the states as columns of one matrix."""
         return StateColumns.of_means(self.usual, self.states, self.firsts, PER_NAT)
 
     def project(self, frames: F32) -> F32:
-        """Return projected frames with a one behind each, float32 (L, d + 1).
+        """Return projected frames with a 1 appended to each, float32 (L, d + 1).
 
         Parameters
         ----------
@@ -137,7 +137,7 @@ class StateRows:
 
     @cached_property
     def _linear(self) -> tuple[F32, F32]:
-        """Weights (C, d + 1) and constants (d + 1,) that project channels, and put a one behind."""
+        """Return weights (C, d + 1) and constants (d + 1,) that project channels, and append a 1."""
         weights = np.concatenate([self.projection, np.zeros((len(self.projection), 1))], axis=1)
         return weights.astype(np.float32), np.append(-self.centre @ self.projection, 1.0).astype(np.float32)
 
