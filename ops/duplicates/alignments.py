@@ -321,7 +321,7 @@ def word_differences(words: U64, offsets: I64, mirrored: U64 | None, found: Alig
     words : uint64 array (L,)
         The concatenated words of all takes; `NO_WORD` in invalid frames.
     offsets : int64 array (T + 1,)
-        Take i has the words offsets[i] to offsets[i + 1].
+        Take i has the words offsets[i] to offsets[i + 1] − 1.
     mirrored : uint64 array (L,), optional
         The words with left and right exchanged; needed where an alignment is mirrored.
     found : Alignments

@@ -59,12 +59,12 @@ class TakePoses:
 
     @cached_property
     def on_ordinary_body(self) -> F32:
-        """The poses with the same directions of bones on a body of ordinary size."""
+        """Return the poses with the same directions of bones on a body of ordinary size."""
         return poses_on_body(self.own, self._order, self._parents, self._lengths_m)
 
     @cached_property
     def bone_lengths_m(self) -> F64:
-        """The median length of the bone to each joint in metres (J,); NaN without a bone or known frames."""
+        """Return the median length of the bone to each joint in metres (J,); NaN without a bone or known frames."""
         return bone_lengths(self.own, self._parents)
 
     def is_on_body_of(self, other: TakePoses) -> bool:

@@ -84,7 +84,7 @@ class SameMotion(NamedTuple):
     shift : float
         Frame `start` of the second take corresponds to frame start + shift of the first.
     pace : float
-        Frames of the first take in a frame of the second; 1 if their clocks agree.
+        The number of frames of the first take per frame of the second; 1 if their clocks agree.
     distance_m : float
         Root mean square distance of the joints in metres.
     persisting_m : float
@@ -106,7 +106,7 @@ class SameMotion(NamedTuple):
 
     @property
     def within_noise(self) -> bool:
-        """True if the poses differ by no more than noise and resampling explain at this speed."""
+        """Return whether the poses differ by no more than noise and resampling explain at this speed."""
         return (
             self.distance_m <= NOISE_M + NOISE_S * self.speed_m_s
             and self.persisting_m <= PERSISTING_M + PERSISTING_S * self.speed_m_s
@@ -397,7 +397,7 @@ def _errors(first: F32, second: F32, begin: int, end: int, shift: float, pace: f
 
 @njit(cache=True, nogil=True)
 def _supported(first: F32, second: F32, shift: int, start: int, stop: int) -> bool:
-    """Return whether half of some frames in [start, stop) have near poses, at a shift up to a frame more or less."""
+    """Return whether half of sampled frames in [start, stop) have near poses, at a shift up to a frame more or less."""
     stride = max(1, (stop - start) // _PROBED)
     for step in range(-2, 3):
         near, count = 0, 0
