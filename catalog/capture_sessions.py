@@ -58,7 +58,7 @@ _LIMBS = {"thigh": "thighs", "shank": "shanks", "upper_arm": "upper arms", "fore
 
 
 def session_of(row: Row) -> tuple[object, ...]:
-    """Return the session of a take: its folder, format, skeleton file and person; static trials belong to theirs."""
+    """Return the session of a take: its source root, folder, format, skeleton file (unless static trial) and person."""
     folder = os.path.dirname(row["source"])
     skeleton = row.get("skeleton_source") if row["format"] not in MARKERS else None
     return row["source_root"], folder, row["format"], skeleton, row.get("person")

@@ -223,7 +223,7 @@ class FeatureSet:
 
     @property
     def steady(self) -> int:
-        """The mask of the features that noise of some millimetres hardly changes, with the bits of a word.
+        """Return the mask of the features that noise of some millimetres hardly changes, with the bits of a word.
 
         These are all but speeds and rates of turning, and velocities from one frame to the next. They are the same
         wherever the body is, and also if its root is kept in place.

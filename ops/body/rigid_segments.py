@@ -243,7 +243,7 @@ def leverage(template: F64, place: F64) -> float:
 
 
 def _some(frames: I64) -> I64:
-    """Return at most so many frames as a template is made of, spread evenly."""
+    """Return at most `_MOST_FRAMES` of the given frames, spread evenly."""
     return frames[np.unique(np.linspace(0, len(frames) - 1, min(len(frames), _MOST_FRAMES)).astype(int))]
 
 
@@ -269,9 +269,10 @@ def _distance_spread(positions: F64, hidden: int) -> F64:
 def _good_template(
     positions: F64, hidden: int, own: Bool, there: I64, tolerance: float, made: dict[tuple[int, ...], _Template | None]
 ) -> _Template | None:
-    """Return the template of all markers that are seen, else of the steadiest ones, that is good.
+    """Return the template of all markers that are seen if it is good, or else the largest good one of the steadiest.
 
-    Templates are kept in `made` by their markers, as sets of markers that are seen share the steadiest ones.
+    Return None if none is good. Templates are cached in `made` by their markers, since different sets of seen markers
+    often have the same steadiest ones.
     """
     for count in dict.fromkeys((len(there), *(n for n in _NEAREST if n < len(there)))):
         markers = tuple(there[:count].tolist())

@@ -45,7 +45,7 @@ class Closed:
 
     @property
     def counts(self) -> list[I64]:
-        """The numbers of markers behind each marker that is placed, by frame."""
+        """Return for each placed marker the numbers of markers (T,) that its segment's pose is fitted to."""
         return [*self.markers.values(), *self.by_static.values()]
 
     @property
@@ -154,7 +154,7 @@ def _with_shapes(segments: Mapping[str, list[int]], shapes: Shapes, names: Seque
 
 
 def _placed(positions: F64, marker: int, wanted: Bool, segments: Segments, tolerance: float) -> Placed:
-    """Return a marker (3, T) as its segments place it where wanted, the first that can, and the numbers of markers."""
+    """Place a marker in the wanted frames, in each by the first of its segments that can place it."""
     track, counts = positions[marker].copy(), np.zeros(positions.shape[2], np.int64)
     for markers in (markers for markers, _ in segments.values() if marker in markers):
         found = placed_by_segment(positions[markers], markers.index(marker), wanted & (counts == 0), tolerance)

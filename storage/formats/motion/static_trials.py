@@ -99,7 +99,7 @@ def _changes(here: F64, there: F64, marker: int) -> F64:
 
 
 def _some(frames: I64) -> I64:
-    """Return at most so many frames as a shape is made of, spread evenly."""
+    """Return at most `_MOST_FRAMES` of the given frames, spread evenly."""
     return np.asarray(frames[np.unique(np.linspace(0, len(frames) - 1, min(len(frames), _MOST_FRAMES)).astype(int))])
 
 
