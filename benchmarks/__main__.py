@@ -26,7 +26,7 @@ PARTS = (
     "keyframes",
     "ranking",
     "annotating",
-    "recognising",
+    "recognition",
     "tracking",
     "depth",
     "depth_frame",

@@ -31,7 +31,7 @@ def figures(_: Store) -> Iterator[Figure]:
     if not FILES.is_dir():
         yield Figure("labels by numbers", 0.0, "", None, f"{LEFT_OUT}{FILES} is missing")
         return
-    store = ingest(FILES, BUILD / "recognising-store")
+    store = ingest(FILES, BUILD / "recognition-store")
     examples, rest = draw(list(motions_of(store).values()), EXAMPLES, 0)
     takes = [one.positions for one in end_to_end(rest, TOGETHER)]
     taught = [TaughtMotion(one.positions, one.label) for one in examples]
