@@ -74,6 +74,32 @@ def workstation_csv(points: np.ndarray, names: Sequence[str], *, rate: float = 1
     return "\n".join([*lines, ""])
 
 
+def arena_csv(
+    points: np.ndarray, names: Sequence[str], *, rate: float = 100.0, version: str = "1.1", hand: str = "righthanded",
+    bodies: bool = False,
+) -> str:  # fmt: skip
+    """A file of Tracking Tools or Arena: markers of version 1.1 have names, others have none; NaN is unseen.
+
+    With `bodies` the points are the origins of rigid bodies.
+    """
+    kind = "rigidbody" if version == "1.1" else "trackable"
+    lines = ['comment,"OptiTrack Export Data"' if version == "1.1" else 'comment,"NaturalPoint Trackable Export Data"']
+    lines += ['comment,"== frame: Details frame of exported data in the following format:"', hand]
+    lines += ["info,version,1.1"] * (version == "1.1") + [f"info,framecount,{len(points)}"]
+    lines += [f'{kind},"{name}",{i + 1},3,0,0,0,0,0,.1,0,.1,0' for i, name in enumerate(names) if bodies]
+    for t, row in enumerate(points):
+        seen = [(i, *place) for i, place in enumerate(row) if not np.isnan(place).any()]
+        cells = [f"frame,{t},{t / rate:.8f}", str(len(seen) if bodies else 0)]
+        at = {i: f"{x:.8f},{y:.8f},{z:.8f}" for i, x, y, z in seen}
+        if bodies:
+            cells += [f"{i + 1},{place},0,0,0,1,0,0,0" for i, place in at.items()]
+            cells += ["1,0.1,0.2,0.3,0"] if version == "1" else ["0"]
+        else:
+            cells += [str(len(at)), *(f"{place},{i}" + f",{names[i]}" * (version == "1.1") for i, place in at.items())]
+        lines += [",".join(cells), f'{kind},{t},{t / rate:.8f},"Rigid Body 1",1,0,0,0.0']
+    return "\n".join([*lines, ""])
+
+
 DEVICES = "Devices,,,\r\n1000,,,\r\n,,Force,,\r\nFrame,Sub Frame,Fx,Fy\r\n,,N,N\r\n7,0,1.5,2\r\n7,1,1.5,2\r\n,,,\r\n"
 """A section of force plates, as Nexus writes it before the trajectories."""
 

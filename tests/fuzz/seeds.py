@@ -111,6 +111,15 @@ def nexus() -> dict[str, bytes]:
     return {"nexus": sections.encode(), "workstation": point_files.workstation_csv(points, list(STANDING)).encode()}
 
 
+def arena() -> dict[str, bytes]:
+    """Files of OptiTrack's older programs: markers with names, and rigid bodies."""
+    points, names = point_files.walk(), list(STANDING)
+    return {
+        "markers": point_files.arena_csv(points, names).encode(),
+        "bodies": point_files.arena_csv(points, names, version="1", bodies=True, hand="lefthanded").encode(),
+    }
+
+
 def opensim_motion() -> dict[str, bytes]:
     """A motion in degrees, and states in radians."""
     values = {name: [0.1 * i, 0.2, 0.3] for i, name in enumerate(osim_files.coordinates())}

@@ -427,6 +427,7 @@ TARGETS: dict[str, Target] = {
         Target("csv", ".csv", seeds.csv, _text(CSV_WORDS), check_csv),
         Target("motive", ".csv", seeds.motive, _text(MOTIVE_WORDS), check_motion),
         Target("nexus", ".csv", seeds.nexus, _text(NEXUS_WORDS), check_motion),
+        Target("arena", ".csv", seeds.arena, _text(), check_motion),
         Target("qualisys", ".tsv", seeds.qualisys, _text(QUALISYS_WORDS), check_motion),
         Target("keypoints", ".json", seeds.keypoints, _text(KEYPOINT_WORDS, DEEP_YAML), check_motion),
         Target("humanml", ".npy", seeds.humanml, (*ANY, *NPY, *NPY), check_motion),

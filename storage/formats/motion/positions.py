@@ -142,7 +142,7 @@ def parse_csv(path: Path) -> Points:
     numbers = dict(zip(others, found_others, strict=True))
     if "frame" in numbers:
         _check_frames(path, numbers["frame"], where)
-    clock = _clock(path, numbers["time"], where) if "time" in numbers else None
+    clock = clock_rate(path, numbers["time"], where) if "time" in numbers else None
     more = f" and {len(unused) - _SHOWN} more" if len(unused) > _SHOWN else ""
     warnings = [f"columns {', '.join(unused[:_SHOWN])}{more} are not used"] if unused else []
     return Points(str(path), tuple(columns), positions, clock_hz=clock, warnings=warnings)
@@ -229,7 +229,7 @@ def parse_trc(path: Path) -> Points:
             "have no label and are dropped"
         )
     _check_frames(path, numbers, where)
-    clock = _clock(path, times, where)
+    clock = clock_rate(path, times, where)
     warnings += _wrong_counts(head, table.rows, len(names))
     rate_hz, unit_m = _trc_rate(head, clock, warnings), _trc_unit(head, warnings)
     unique = unique_names(names, positions, unit_m, warnings)
@@ -349,7 +349,7 @@ def _check_frames(path: Path, numbers: F64, where: Lines) -> None:
         )  # fmt: skip
 
 
-def _clock(path: Path, times: F64, where: Lines) -> float | None:
+def clock_rate(path: Path, times: F64, where: Lines) -> float | None:
     """Return the frames per second of a column of times, an integer if rounding allows it; None for a single frame."""
     wrong = np.flatnonzero(~(np.diff(times) > 0.0))
     if len(wrong):

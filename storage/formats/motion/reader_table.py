@@ -22,6 +22,7 @@ READERS: Plugins[type[Reader]] = Plugins(
         "c3d": "kinedex.storage.formats.motion.c3d:C3dReader",
         "motive": "kinedex.storage.formats.motion.motive:MotiveReader",
         "nexus": "kinedex.storage.formats.motion.nexus:NexusReader",
+        "arena": "kinedex.storage.formats.motion.arena:ArenaReader",
         "opensim": "kinedex.storage.formats.motion.opensim:OpenSimReader",
         "qualisys": "kinedex.storage.formats.motion.qualisys:QualisysReader",
         "keypoints": "kinedex.storage.formats.motion.keypoint_json:KeypointReader",
