@@ -5,7 +5,7 @@ of Vicon's Plug-in Gait: these are hidden, the body is read from the markers, an
 centre. The second table has files with markers on both sides of knees, ankles or elbows, read without the inner ones
 and compared with the middle of both. The third places hip centres by several regressions, and compares them with those
 of Plug-in Gait. The fourth compares markers with the bodies of OpenSim in the same trial, whose origins are joints in
-its model. Distances are in cm, their mean and the largest of 95 % of the frames.
+its model, also by direction. Distances are in cm, their mean and the largest of 95 % of the frames.
 """
 
 from __future__ import annotations
@@ -158,16 +158,38 @@ def hip_errors(points: Points) -> dict[str, float]:
     return {way: float(np.mean(errors)) for way, errors in found.items()}
 
 
-def distances_to_opensim(markers: Path, bodies: Path) -> Distances:
-    """Return the distances in cm between joints from markers and those of OpenSim's bodies, whose times are fewer."""
+def offsets_to_opensim(markers: Path, bodies: Path) -> Distances:
+    """Return where joints from markers lie beside those of OpenSim's bodies, in cm, (3, frames): outwards, up, ahead.
+
+    OpenSim's frames are fewer. Outwards is along the line of the hips, up is Y.
+    """
     ours, theirs = (read_body(path, None, MAPPINGS, JOINTS) for path in (markers, bodies))
     times = np.arange(theirs.frames) / theirs.rate_hz
     own = np.arange(ours.frames) / ours.rate_hz
+    within = times <= own[-1]
+    left, right = (theirs.positions[JOINTS.index(joint)][:, within] for joint in ("lhip", "rhip"))
+    across = (left - right) * np.array([1.0, 0.0, 1.0])[:, None]
+    across /= np.linalg.norm(across, axis=0)
+    up = np.zeros_like(across)
+    up[1] = 1.0
     found = {}
     for joint in CENTRES:
-        track = np.stack([np.interp(times, own, row) for row in ours.positions[JOINTS.index(joint)]])
-        found[joint] = 100 * np.linalg.norm(track - theirs.positions[JOINTS.index(joint)], axis=0)[times <= own[-1]]
+        track = np.stack([np.interp(times[within], own, row) for row in ours.positions[JOINTS.index(joint)]])
+        beside = 100 * (track - theirs.positions[JOINTS.index(joint)][:, within])
+        side = 1.0 if joint.startswith("l") else -1.0
+        axes = (side * across, up, np.cross(across, up, axis=0))
+        found[joint] = np.stack([(beside * axis).sum(axis=0) for axis in axes])
     return found
+
+
+def _offset_table(offsets: Distances) -> Table:
+    """Return the distances from OpenSim's joints and their parts, left and right together."""
+    table = Table("joint", "mean, cm", "outwards", "up", "ahead", title="From markers, against OpenSim's bodies")
+    for joint in dict.fromkeys(name[1:] for name in offsets):
+        both = np.concatenate([offsets[side + joint] for side in "lr"], axis=1)
+        means = (np.linalg.norm(both, axis=0).mean(), *both.mean(axis=1))
+        table.add_row(joint, *(f"{mean:.1f}" for mean in means))
+    return table
 
 
 def _show(console: Console, title: str, rows: list[tuple[str, str, Distances]]) -> None:
@@ -209,8 +231,7 @@ def main() -> None:
     console.print(hips)
     markers, bodies = (parser.parse_args().data / name for name in OPENSIM)
     if markers.is_file() and bodies.is_file():
-        rows = [(markers.name, "recognised markers", distances_to_opensim(markers, bodies))]
-        _show(console, "From markers, against OpenSim's bodies", rows)
+        console.print(_offset_table(offsets_to_opensim(markers, bodies)))
 
 
 if __name__ == "__main__":
