@@ -33,11 +33,14 @@ FEW_RUNS = 24
 FEWEST_RUNS = 4
 """Number of runs; takes with fewer runs are also looked up by single runs."""
 
-FEW = 24
+FEW = 48
 """Largest number of occurrences of a sequence for which all pairs vote; beyond it only neighbouring occurrences do."""
 
 NEIGHBOURS = 3
-"""Number of next occurrences, in order of takes, with which each occurrence of a frequent sequence votes."""
+"""Number of next occurrences, in order of rhythm, with which each occurrence of a frequent sequence votes."""
+
+RHYTHM = 3
+"""Number of runs whose duration orders the occurrences of a sequence, so that those of copies are neighbours."""
 
 KEPT = 3
 """Maximum number of alignments of a pair of takes that are verified, in order of their votes."""
@@ -127,8 +130,8 @@ def find_alignments(runs: WordRuns, mirrored: U64 | None = None, most_votes: int
         `KEPT` alignments with the most votes are included.
     """
     count = int(runs.take[-1]) + 1 if len(runs.take) else 0
-    number = np.bincount(runs.take, minlength=count)
-    few, fewest = number < FEW_RUNS, number < FEWEST_RUNS
+    counts = np.bincount(runs.take, minlength=count)
+    few, fewest = counts < FEW_RUNS, counts < FEWEST_RUNS
     tables = [
         [
             _places(runs, image, LENGTH, np.ones_like(few)),
@@ -170,15 +173,16 @@ def _blocks(votes: I64, most: int) -> Iterator[tuple[int, int]]:
         yield low, len(votes)
 
 
-def _sequences(runs: WordRuns, words: U64, length: int) -> tuple[U64, I64, I64]:
-    """Return hash, take and frame of each sequence of `length` consecutive runs without an invalid frame between them.
+def _sequences(runs: WordRuns, words: U64, length: int) -> tuple[U64, I64, I64, I64]:
+    """Return hash, take, frame and rhythm of each sequence of `length` runs without an invalid frame between them.
 
     The frame is the start of the second run, because the first run may be cut off at the start of a take; of a single
-    run it is the start.
+    run it is the start. The rhythm is the number of frames from there to the start of a later run, `RHYTHM` runs on.
     """
     count = len(runs.take) - length + 1
     if count < 1:
-        return np.empty(0, np.uint64), np.empty(0, np.int64), np.empty(0, np.int64)
+        none = np.empty(0, np.int64)
+        return np.empty(0, np.uint64), none, none, none
     whole = runs.take[:count] == runs.take[length - 1 :]
     hashes = np.zeros(count, np.uint64)
     for k in range(length):
@@ -188,18 +192,22 @@ def _sequences(runs: WordRuns, words: U64, length: int) -> tuple[U64, I64, I64]:
             # valid only without an invalid frame in between
             whole &= runs.start[k : k + count] == runs.stop[k - 1 : k - 1 + count]
     second = min(1, length - 1)
-    return hashes[whole], runs.take[:count][whole], runs.start[second : second + count][whole]
+    frames = runs.start[second : second + count]
+    last = np.searchsorted(runs.take, runs.take[:count], side="right") - 1
+    later = runs.start[np.minimum(np.arange(count) + second + RHYTHM, last)]
+    return hashes[whole], runs.take[:count][whole], frames[whole], (later - frames)[whole]
 
 
 def _places(runs: WordRuns, mirrored: U64 | None, length: int, asked: Bool) -> _Places:
     """Return the occurrences of all sequences of a given length; with mirrored words, also of their mirror images."""
-    hashes, takes, frames = _sequences(runs, runs.word, length)
+    hashes, takes, frames, rhythm = _sequences(runs, runs.word, length)
     image = np.zeros(len(hashes), np.bool_)
     if mirrored is not None:
         other = _sequences(runs, mirrored, length)
         image = np.repeat([False, True], len(hashes))
-        hashes, takes, frames = (np.concatenate(both) for both in zip((hashes, takes, frames), other, strict=True))
-    order = np.lexsort((takes, hashes))
+        own = (hashes, takes, frames, rhythm)
+        hashes, takes, frames, rhythm = (np.concatenate(both) for both in zip(own, other, strict=True))
+    order = np.lexsort((takes, rhythm, hashes))
     hashes, takes, frames, image = hashes[order], takes[order], frames[order], image[order]
     begins = np.flatnonzero(np.diff(hashes, prepend=~hashes[:1]) != 0)
     sizes = np.diff(begins, append=len(hashes))

@@ -52,7 +52,7 @@ class TakePoses:
         if mirrored:
             positions = positions[:, [joints.index(_other_side(joint, joints)) for joint in joints]]
         self.own = local_poses(np.ascontiguousarray(positions), root, left, right, mirrored=mirrored)
-        known = np.isfinite(self.own[:, :, 0]).any(axis=0).tolist()
+        known: list[bool] = np.isfinite(self.own[:, :, 0]).any(axis=0).tolist()
         self._parents, self._lengths_m = bones_of(joints, known)
         self._order = np.array(sorted(range(len(joints)), key=lambda joint: _depth(self._parents, joint)))
         self.nbytes = 2 * self.own.nbytes
@@ -134,6 +134,11 @@ def _local(positions: F32, root: int, left: int, right: int, side: float) -> F32
     return turned
 
 
+def _length_m(joint: str) -> float:
+    """Return the length of the bone to a joint; 0 for the root and for joints that are no joints of a body."""
+    return _LENGTHS_M.get(joint, _LENGTHS_M.get(joint[1:], 0.0))
+
+
 def bones_of(joints: Sequence[str], known: Sequence[bool]) -> tuple[I64, F64]:
     """Return the parent of each joint among those that are known, and the length of the bone between them.
 
@@ -154,11 +159,10 @@ def bones_of(joints: Sequence[str], known: Sequence[bool]) -> tuple[I64, F64]:
     parents, lengths = np.full(len(joints), -1, np.int64), np.zeros(len(joints))
     for j, name in enumerate(joints):
         parent, at = JOINT_PARENTS.get(name), name
-        while True:
-            lengths[j] += _LENGTHS_M.get(at[1:] if at[0] in "lr" else at, _LENGTHS_M.get(at, 0.0))
-            if parent is None or (parent in joints and known[joints.index(parent)]):
-                break
-            parent, at = JOINT_PARENTS[parent], parent
+        lengths[j] = _length_m(name)
+        while parent is not None and not (parent in joints and known[joints.index(parent)]):
+            at, parent = parent, JOINT_PARENTS[parent]
+            lengths[j] += _length_m(at)
         parents[j] = -1 if parent is None else joints.index(parent)
     return parents, lengths
 

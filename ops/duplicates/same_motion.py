@@ -18,6 +18,9 @@ from kinedex.ops.arrays import F32, F64
 NEAR_M = 0.03
 """Distance of joints in metres below which two poses can be the same pose, sampled at another rate."""
 
+PROBED_M = 0.02
+"""Distance of joints in metres below which most poses around the support of an alignment must be."""
+
 GAP_FRAMES = 3
 """Longest interruption of an interval of near poses in frames, as by a fast hand sampled at another rate."""
 
@@ -52,14 +55,15 @@ NEARLY_ALL = 0.9
 """Share of the shorter take from which a common interval counts as nearly all of it."""
 
 MAX_SAMPLED_FRAMES = 256
-"""Number of frames in which a shift is estimated; fewer than twice as many, as the step between them is whole."""
+"""Maximum number of frames in which the shift between two frames is estimated."""
 
 _SHIFT_FRAMES = 0.1  # from which the moments of two takes differ
 _DRIFT_FRAMES = 0.5  # from which the clocks of two takes differ
 _OUTSIDE = 0.02  # share of a frame by which a moment may lie outside of a take, as alignments are not exact
-_PROBED = 6  # frames that are looked at before takes are compared
+_PROBED, _AROUND = 8, 4  # frames that are looked at before takes are compared, also around the support
 _ROUNDS = 12  # rounds of extending an interval, each at most to its double
-_TRIES = 3  # steps of the fit of shift and pace in each round
+_STEADY_FRAMES = 0.001  # change of the alignment from which a fit goes on
+_TRIES = 6  # steps of the fit of shift and pace in each round
 
 
 class Warp(NamedTuple):
@@ -84,7 +88,7 @@ class SameMotion(NamedTuple):
     shift : float
         Frame `start` of the second take corresponds to frame start + shift of the first.
     pace : float
-        The number of frames of the first take per frame of the second; 1 if their clocks agree.
+        Frames of the first take in a frame of the second; 1 if their clocks agree.
     distance_m : float
         Root mean square distance of the joints in metres.
     persisting_m : float
@@ -106,7 +110,7 @@ class SameMotion(NamedTuple):
 
     @property
     def within_noise(self) -> bool:
-        """Return whether the poses differ by no more than noise and resampling explain at this speed."""
+        """True if the poses differ by no more than noise and resampling explain at this speed."""
         return (
             self.distance_m <= NOISE_M + NOISE_S * self.speed_m_s
             and self.persisting_m <= PERSISTING_M + PERSISTING_S * self.speed_m_s
@@ -232,9 +236,11 @@ def _fitted(first: F32, second: F32, begin: int, end: int, warp: Warp) -> Warp:
             break
         shift = (right * across - left * along) / determinant
         pace = (left * square - right * along) / determinant
-        pace = min(max(warp.pace - pace, -MAX_PACE), MAX_PACE)
-        warp = Warp(warp.shift - min(max(shift, -1.0), 1.0), pace, centre)
-        if abs(shift) < 1e-4:
+        before = warp
+        warp = Warp(
+            warp.shift - min(max(shift, -1.0), 1.0), min(max(warp.pace - pace, -MAX_PACE), MAX_PACE), centre
+        )  # fmt: skip
+        if max(abs(warp.at(edge) - before.at(edge)) for edge in (begin, end)) < _STEADY_FRAMES:
             break
     return warp
 
@@ -252,7 +258,8 @@ def _moment(first: F32, second: F32, low: int, high: int, shift: int) -> float:
 
 @njit(cache=True, nogil=True)
 def _cost(first: F32, second: F32, low: int, high: int, shift: float) -> float:
-    """Return the mean distance of poses, clipped at `NEAR_M`, in frames that are evenly spread over an interval."""
+    """Return the mean distance of poses, each clipped at `NEAR_M`, in `MAX_SAMPLED_FRAMES` frames spread over the
+    interval."""
     stride = max(1, (high - low) // MAX_SAMPLED_FRAMES)
     total, count = 0.0, 0
     for t in range(low, high, stride):
@@ -397,15 +404,15 @@ def _errors(first: F32, second: F32, begin: int, end: int, shift: float, pace: f
 
 @njit(cache=True, nogil=True)
 def _supported(first: F32, second: F32, shift: int, start: int, stop: int) -> bool:
-    """Return whether half of sampled frames in [start, stop) have near poses, at a shift up to a frame more or less."""
-    stride = max(1, (stop - start) // _PROBED)
-    for step in range(-2, 3):
+    """Return whether most of some frames around [start, stop) have near poses, up to a frame from a shift."""
+    low, high = max(0, -shift, start - _AROUND), min(len(second), len(first) - shift, stop + _AROUND)
+    stride = max(1, (high - low) // _PROBED)
+    for step in range(-4, 5):
         near, count = 0, 0
-        for t in range(start, stop, stride):
-            if 0 <= t < len(second):
-                count += 1
-                near += _distance(first, second, t, t + shift + 0.5 * step) <= NEAR_M
-        if count and 2 * near >= count:
+        for t in range(low, high, stride):
+            count += 1
+            near += _distance(first, second, t, t + shift + 0.25 * step) <= PROBED_M
+        if count and 3 * near >= 2 * count:
             return True
     return False
 

@@ -154,9 +154,9 @@ def _same_motions(store: Snapshot, names: list[str], progress: Progress) -> list
     best: dict[tuple[str, str, bool], dict[str, Any]] = {}
     with progress("comparing takes", len(found)) as bar:
         for group in _blocks(found, words.frames * len(store.feature_set.joints) * 12):
-            poses.hold({ordered[take] for one, two, *_ in group for take in (one, two)})
-            for one, two, *alignment in group:
-                row = _common(store, poses, ordered[one], ordered[two], *alignment)
+            poses.hold({ordered[take] for candidate in group for take in candidate[:2]})
+            for one, two, shift, image, start, stop in group:
+                row = _common(store, poses, ordered[one], ordered[two], shift, image, start, stop)
                 bar.advance()
                 if row is not None:
                     key = (row["take"], row["of_take"], row["mirrored"])
