@@ -52,7 +52,7 @@ class TakePoses:
         if mirrored:
             positions = positions[:, [joints.index(_other_side(joint, joints)) for joint in joints]]
         self.own = local_poses(np.ascontiguousarray(positions), root, left, right, mirrored=mirrored)
-        known: list[bool] = np.isfinite(self.own[:, :, 0]).any(axis=0).tolist()
+        known = [bool(one) for one in np.isfinite(self.own[:, :, 0]).any(axis=0)]
         self._parents, self._lengths_m = bones_of(joints, known)
         self._order = np.array(sorted(range(len(joints)), key=lambda joint: _depth(self._parents, joint)))
         self.nbytes = 2 * self.own.nbytes
