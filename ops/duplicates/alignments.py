@@ -131,13 +131,9 @@ def find_alignments(runs: WordRuns, mirrored: U64 | None = None, most_votes: int
     """
     count = int(runs.take[-1]) + 1 if len(runs.take) else 0
     counts = np.bincount(runs.take, minlength=count)
-    few, fewest = counts < FEW_RUNS, counts < FEWEST_RUNS
+    sought = [(LENGTH, np.ones(count, np.bool_)), (SHORT, counts < FEW_RUNS), (1, counts < FEWEST_RUNS)]
     tables = [
-        [
-            _places(runs, image, LENGTH, np.ones_like(few)),
-            _places(runs, image, SHORT, few),
-            _places(runs, image, 1, fewest),
-        ]
+        [_places(runs, image, length, asked) for length, asked in sought if length == LENGTH or asked.any()]
         for image in ((None,) if mirrored is None else (None, mirrored))
     ]
     votes = np.array([[_count_votes(*table, count) for table in both] for both in tables], np.int64)

@@ -51,21 +51,28 @@ class TakePoses:
         root, left, right = next(_turned_by(joints, positions), [0, 0, 0])
         if mirrored:
             positions = positions[:, [joints.index(_other_side(joint, joints)) for joint in joints]]
+        self._step = max(1, len(positions) // _MEASURED)
         self.own = local_poses(np.ascontiguousarray(positions), root, left, right, mirrored=mirrored)
-        known = [bool(one) for one in np.isfinite(self.own[:, :, 0]).any(axis=0)]
-        self._parents, self._lengths_m = bones_of(joints, known)
+        known = np.isfinite(self.own[:: self._step, :, 0]).any(axis=0)
+        if not known.all():
+            known = np.isfinite(self.own[:, :, 0]).any(axis=0)
+        self._parents, self._lengths_m = bones_of(joints, [bool(one) for one in known])
         self._order = np.array(sorted(range(len(joints)), key=lambda joint: _depth(self._parents, joint)))
-        self.nbytes = 2 * self.own.nbytes
+        self.nbytes = self.own.nbytes
+
+    def part_on_ordinary_body(self, start: int, stop: int) -> F32:
+        """Return the poses of the frames [start, stop) on a body of ordinary size."""
+        return poses_on_body(self.own[start:stop], self._order, self._parents, self._lengths_m)
 
     @cached_property
     def on_ordinary_body(self) -> F32:
-        """Return the poses with the same directions of bones on a body of ordinary size."""
-        return poses_on_body(self.own, self._order, self._parents, self._lengths_m)
+        """The poses with the same directions of bones on a body of ordinary size."""
+        return self.part_on_ordinary_body(0, len(self.own))
 
     @cached_property
     def bone_lengths_m(self) -> F64:
-        """Return the median length of the bone to each joint in metres (J,); NaN without a bone or known frames."""
-        return bone_lengths(self.own, self._parents)
+        """The median length of the bone to each joint in metres (J,); NaN without a bone or known frames."""
+        return bone_lengths(self.own[:: self._step], self._parents)
 
     def is_on_body_of(self, other: TakePoses) -> bool:
         """Return whether all bones that both takes have are about as long in both."""
@@ -78,7 +85,7 @@ def _turned_by(joints: Sequence[str], positions: F32) -> Iterator[list[int]]:
     for names in _FRAMES:
         if all(name in joints for name in names):
             found = [joints.index(name) for name in names]
-            if np.isfinite(positions[:, found]).any():
+            if np.isfinite(positions[:1, found]).any() or np.isfinite(positions[:, found]).any():
                 yield found
 
 
@@ -169,7 +176,6 @@ def bones_of(joints: Sequence[str], known: Sequence[bool]) -> tuple[I64, F64]:
 
 def bone_lengths(poses: F32, parents: I64) -> F64:
     """Return the median length of the bone to each joint in metres (J,); NaN without a bone or known frames."""
-    poses = poses[:: max(1, len(poses) // _MEASURED)]
     bones = np.linalg.norm(poses - poses[:, np.maximum(parents, 0)], axis=2).astype(np.float64)
     measured = (parents >= 0) & np.isfinite(bones).any(axis=0)
     lengths = np.full(len(parents), np.nan)

@@ -21,6 +21,9 @@ NEAR_M = 0.03
 PROBED_M = 0.02
 """Distance of joints in metres below which most poses around the support of an alignment must be."""
 
+AROUND = 4
+"""Number of frames before and after the support of an alignment that are looked at, too."""
+
 GAP_FRAMES = 3
 """Longest interruption of an interval of near poses in frames, as by a fast hand sampled at another rate."""
 
@@ -60,7 +63,7 @@ MAX_SAMPLED_FRAMES = 256
 _SHIFT_FRAMES = 0.1  # from which the moments of two takes differ
 _DRIFT_FRAMES = 0.5  # from which the clocks of two takes differ
 _OUTSIDE = 0.02  # share of a frame by which a moment may lie outside of a take, as alignments are not exact
-_PROBED, _AROUND = 8, 4  # frames that are looked at before takes are compared, also around the support
+_PROBED = 8  # frames that are looked at before takes are compared
 _ROUNDS = 12  # rounds of extending an interval, each at most to its double
 _STEADY_FRAMES = 0.001  # change of the alignment from which a fit goes on
 _TRIES = 6  # steps of the fit of shift and pace in each round
@@ -141,7 +144,7 @@ def same_motion(
         None if the interval is shorter than `MIN_DURATION_S` (and than `NEARLY_ALL` of the shorter take), or if its
         poses differ by more than noise explains.
     """
-    if support is not None and not _supported(first, second, shift, *support):
+    if support is not None and not is_supported(first, second, shift, *support):
         return None
     found = nearest_interval(first, second, shift, rate_hz)
     return found if found is not None and found.within_noise else None
@@ -403,9 +406,19 @@ def _errors(first: F32, second: F32, begin: int, end: int, shift: float, pace: f
 
 
 @njit(cache=True, nogil=True)
-def _supported(first: F32, second: F32, shift: int, start: int, stop: int) -> bool:
-    """Return whether most of some frames around [start, stop) have near poses, up to a frame from a shift."""
-    low, high = max(0, -shift, start - _AROUND), min(len(second), len(first) - shift, stop + _AROUND)
+def is_supported(first: F32, second: F32, shift: int, start: int, stop: int) -> bool:
+    """Return whether most of some frames around [start, stop) have near poses, up to a frame from a shift.
+
+    Parameters
+    ----------
+    first, second : float32 array (T, J, 3)
+        Poses of two takes, as for `same_motion`.
+    shift : int
+        Frame i of the second take is near frame i + shift of the first.
+    start, stop : int
+        Frames of the second take; `AROUND` frames before and after count as well.
+    """
+    low, high = max(0, -shift, start - AROUND), min(len(second), len(first) - shift, stop + AROUND)
     stride = max(1, (high - low) // _PROBED)
     for step in range(-4, 5):
         near, count = 0, 0

@@ -16,7 +16,7 @@ from kinedex.ops.arrays import F32, I64
 from kinedex.ops.cache import Cache
 from kinedex.ops.duplicates.alignments import find_alignments, plausible
 from kinedex.ops.duplicates.poses import TakePoses
-from kinedex.ops.duplicates.same_motion import NEARLY_ALL, SameMotion, changes_of, same_motion
+from kinedex.ops.duplicates.same_motion import AROUND, NEARLY_ALL, SameMotion, changes_of, is_supported, same_motion
 from kinedex.ops.intervals import in_seconds
 from kinedex.ops.search.runs import word_runs
 from kinedex.ops.wording import counted
@@ -204,12 +204,20 @@ def _common(
     near, support = (shift, (start, stop)) if other == one else (-shift, (start + shift, stop + shift))
     first, second = poses.of(other, False), poses.of(take, image)
     match, body = same_motion(first.own, second.own, near, store.rate_hz, support), False
-    if match is None and not first.is_on_body_of(second):
-        body = True
-        match = same_motion(first.on_ordinary_body, second.on_ordinary_body, near, store.rate_hz, support)
+    if match is None and not first.is_on_body_of(second) and _alike_on_one_body(first, second, near, support):
+        match, body = same_motion(first.on_ordinary_body, second.on_ordinary_body, near, store.rate_hz), True
     if match is None:
         return None
     return _row(store, take, other, "motion", match, image, body)
+
+
+def _alike_on_one_body(first: TakePoses, second: TakePoses, shift: int, support: tuple[int, int]) -> bool:
+    """Return whether poses at the support of an alignment are near on a body of ordinary size."""
+    low, high = max(0, support[0] - AROUND), support[1] + AROUND
+    begin = max(0, low + shift - AROUND)
+    one = first.part_on_ordinary_body(begin, high + shift + AROUND)
+    other = second.part_on_ordinary_body(low, high)
+    return bool(is_supported(one, other, shift + low - begin, support[0] - low, support[1] - low))
 
 
 def _row(
