@@ -34,6 +34,7 @@ SUBJECTS = (
     "review_queue",
     "events",
     "examples",
+    "explanations",
     "exports",
     "edit_effect",
     "hits",

@@ -39,10 +39,12 @@ def explain(
     The quantities (heights, ways, speeds, turn, duration) speak for the class or against it, beside the class that is
     the most probable of the others. Examples are the labels of the store, and takes with a class.
     """
-    from kinedex.library.described_labels import explain_interval, reasons_table
+    from kinedex.library.described_labels import described_labels, explain_interval, reasons_table
+    from kinedex.pipelines.templates.stored_templates import clip_range
 
     opened = open_for_reading(store, at)
-    found = explain_interval(opened, take, start, stop, label)
+    interval = clip_range(opened, take, start, stop)
+    found = explain_interval(opened, described_labels(opened), take, interval, label)
     table = reasons_table(found).slice(0, top)
     if as_json:
         facts = {key: value for key, value in found._asdict().items() if key != "reasons"}

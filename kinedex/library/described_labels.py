@@ -3,16 +3,17 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
 import pyarrow as pa
 
+from kinedex.ops.arrays import F64
 from kinedex.ops.errors import KinedexError, ParameterError, did_you_mean
 from kinedex.ops.numeric.explanation import Explanation, explain
 from kinedex.ops.numeric.label_windows import Window, described, known_part
-from kinedex.pipelines.templates.examples import CLIPS, LABELS, ChosenExamples, ExampleParameters, examples_of
-from kinedex.pipelines.templates.stored_templates import clip_range
+from kinedex.pipelines.templates.examples import CLIPS, LABELS, ChosenExamples, Example, ExampleParameters, examples_of
 from kinedex.storage.snapshot.frames import read_intervals
 from kinedex.storage.snapshot.parts import joint_positions
 
@@ -63,60 +64,91 @@ def windows_of(store: Store, labels: Sequence[Interval], around: Sequence[Interv
         yield number, Window(positions, start - before, stop - before)
 
 
+@dataclass(frozen=True)
+class DescribedLabels:
+    """The labels of a store that can be described.
+
+    Attributes
+    ----------
+    labels : tuple of Example
+        The labels of people, and the takes with a class.
+    descriptors : float64 array (E, D)
+        Their descriptors.
+    without : frozenset of str
+        The classes none of whose labels can be described.
+    """
+
+    labels: tuple[Example, ...]
+    descriptors: F64
+    without: frozenset[str]
+
+
+def described_labels(store: Store) -> DescribedLabels:
+    """Return the labels of people and the takes with a class of a store, with their descriptors."""
+    labels = [one for one in taught_labels(store).examples if one.positive]
+    intervals = [(one.take_id, one.start, one.stop) for one in labels]
+    found = dict(_described(store, intervals))
+    known = [number for number in range(len(labels)) if isinstance(found.get(number), np.ndarray)]
+    described_ones = tuple(labels[number] for number in known)
+    rows = np.array([found[number] for number in known], np.float64)
+    without = {one.label for one in labels} - {one.label for one in described_ones}
+    return DescribedLabels(described_ones, rows, frozenset(without))
+
+
+def _described(store: Store, intervals: Sequence[Interval]) -> Iterator[tuple[int, F64 | ParameterError]]:
+    """Yield the number of each interval, and its descriptor or why it has none."""
+    for number, window in windows_of(store, intervals, intervals):
+        try:
+            yield number, described(known_part(window), store.feature_set.joints, store.rate_hz)
+        except ParameterError as fault:
+            yield number, fault
+
+
 def explain_interval(
-    store: Store, take: str, start: str | int | None, stop: str | int | None, label: str | None = None
+    store: Store, taught: DescribedLabels, take: str, interval: tuple[int, int], label: str | None = None
 ) -> Explanation:
     """Explain by quantities how far an interval of a take is of a class.
 
-    Examples are the labels of people and the takes with a class. Those of the same take do not teach, unless a class
-    has no others.
+    Labels of the same take do not teach, unless a class has no others.
 
     Parameters
     ----------
     store : Store
         The store.
+    taught : DescribedLabels
+        The labels of the store.
     take : str
         The name of the take.
-    start, stop : int or str, optional
-        The interval, as for `clip_range`; by default the whole take.
+    interval : (int, int)
+        Frames [start, stop) of the take, as `clip_range` returns them.
     label : str, optional
         The class; by default the most probable one.
 
     Raises
     ------
     KinedexError
-        There is no such take or class, the interval is not within the take, its body cannot be described, or fewer than
-        two classes have examples that can.
+        There is no such class, the body of the take cannot be described, or fewer than two classes have labels that
+        can.
     """
-    first, last = clip_range(store, take, start, stop)
     take_id = store.take_id(take)
-    labels = [one for one in taught_labels(store).examples if one.positive]
-    elsewhere = {one.label for one in labels if one.take_id != take_id}
-    labels = [one for one in labels if one.take_id != take_id or one.label not in elsewhere]
-    names = {one.label for one in labels}
-    if label is not None and label not in names:
+    elsewhere = {one.label for one in taught.labels if one.take_id != take_id}
+    places = [place for place, one in enumerate(taught.labels) if one.take_id != take_id or one.label not in elsewhere]
+    names = [taught.labels[place].label for place in places]
+    if label is not None and label not in {*names, *taught.without}:
         raise KinedexError(
             f"{store.path}: no take or label teaches the class '{label}'{did_you_mean(label, names)}; "
             f"`kinedex labels list {store.path}` shows the labels"
         )
-    every = [(take_id, first, last), *((one.take_id, one.start, one.stop) for one in labels)]
-    found: dict[int, np.ndarray] = {}
-    joints = store.feature_set.joints
-    for number, window in windows_of(store, every, every):
-        try:
-            found[number] = described(known_part(window), joints, store.rate_hz)
-        except ParameterError as fault:
-            if not number:
-                raise KinedexError(f"{take}, frames {first} to {last}, cannot be explained: {fault}") from None
-    known = [number for number in range(1, len(every)) if number in found]
-    taught = [labels[number - 1].label for number in known]
-    missing = "" if label is None or label in taught else f" of the class '{label}'"
-    if missing or len(set(taught)) < 2:
+    missing = "" if label is None or label in names else f" of the class '{label}'"
+    if missing or len(set(names)) < 2:
         raise KinedexError(
             f"{store.path}: an explanation needs examples{missing or ' of two classes'} whose joints are all known; "
             "`kinedex labels add` labels an interval, and `patterns` of ingest give takes a class"
         )
-    return explain(found[0], np.stack([found[number] for number in known]), taught, joints, label)
+    ((_, found),) = _described(store, [(take_id, *interval)])
+    if isinstance(found, ParameterError):
+        raise KinedexError(f"{take}, frames {interval[0]} to {interval[1]}, cannot be explained: {found}")
+    return explain(found, taught.descriptors[places], names, store.feature_set.joints, label)
 
 
 def reasons_table(found: Explanation) -> pa.Table:

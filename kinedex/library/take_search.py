@@ -162,10 +162,12 @@ class TakeSearch(TakeCollection):
         """
         import polars as pl
 
-        from kinedex.library.described_labels import explain_interval, reasons_table
+        from kinedex.library.described_labels import described_labels, explain_interval, reasons_table
+        from kinedex.pipelines.templates.stored_templates import clip_range
 
         name = self._row(take)["name"]
-        found = explain_interval(self.stored, name, start, stop, label)
+        interval = clip_range(self.stored, name, start, stop)
+        found = explain_interval(self.stored, described_labels(self.stored), name, interval, label)
         facts = [found.label, found.other, found.probability, found.other_probability]
         names = ["class", "other", "probability", "other_probability"]
         columns = [pl.lit(value).alias(column) for column, value in zip(names, facts, strict=True)]

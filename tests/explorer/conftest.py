@@ -8,12 +8,16 @@ from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 from starlette.testclient import TestClient
 
 from kinedex.explorer.access import Rules
 from kinedex.explorer.application import make_application
 from kinedex.explorer.open_archive import Archive
+from kinedex.storage.index.builder import build_index
+from kinedex.storage.store.store import open_store
+from tests.ops.numeric.motions import motion
 from tests.pipelines.labelled import clip, long_take, write_store
 
 TOKEN = "the-token"
@@ -63,3 +67,19 @@ def connect(store: Path, built: Path) -> Connect:
         return TestClient(app, base_url=HOST, headers=headers, raise_server_exceptions=False, follow_redirects=False)
 
     return open_client
+
+
+MOTIONS = ("raise left", "bow", "raise right")
+
+
+@pytest.fixture
+def moving(tmp_path: Path) -> Path:
+    """Return a store of eighteen takes, each of which shows its class by its body; the words show nothing."""
+    takes = []
+    for k in range(18):
+        body = motion(MOTIONS[k % 3], 36 + k, k)
+        row = {"name": f"take_{k:02d}", "actor": "al", "class": MOTIONS[k % 3], "words": np.zeros(len(body), np.uint64)}
+        takes.append(row | {"positions": body.transpose(1, 2, 0)})
+    path = write_store(tmp_path / "archive", takes)
+    build_index(open_store(path, at="newest"))
+    return path

@@ -5,34 +5,12 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-import pytest
-
-from kinedex.storage.index.builder import build_index
-from kinedex.storage.store.store import open_store
 from tests.explorer.conftest import Connect
 from tests.explorer.test_labels import new
-from tests.ops.numeric.motions import motion
-from tests.pipelines.labelled import write_store
-
-NAMES = ("raise left", "bow", "raise right")
 
 
-@pytest.fixture
-def archive(tmp_path: Path) -> Path:
-    """Return a store of eighteen takes with a class, one of which bows but is called a walk by a label."""
-    takes = []
-    for k in range(18):
-        body = motion(NAMES[k % 3], 36 + k, k)
-        row = {"name": f"take_{k:02d}", "actor": "al", "class": NAMES[k % 3], "words": np.zeros(len(body), np.uint64)}
-        takes.append(row | {"positions": body.transpose(1, 2, 0)})
-    path = write_store(tmp_path / "archive", takes)
-    build_index(open_store(path, at="newest"))
-    return path
-
-
-def test_suspects_are_listed_with_the_command_and_change_with_the_labels(connect: Connect, archive: Path) -> None:
-    client = connect(archive)
+def test_suspects_are_listed_with_the_command_and_change_with_the_labels(connect: Connect, moving: Path) -> None:
+    client = connect(moving)
 
     def suspects(**asked: Any) -> dict[str, Any]:
         answer = client.post("/api/labels/suspects", json=asked)

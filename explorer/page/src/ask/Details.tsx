@@ -7,6 +7,7 @@ import { Link } from "wouter";
 import { shownSeconds } from "../api/seconds";
 import { takeAddress } from "../app/address";
 import { Fault } from "../app/Fault";
+import { Why } from "../label/Why";
 import { SmallFigure } from "../motion/SmallFigure";
 import { type Hit, type HitAnswer, type Known, keyOf } from "./types";
 import type { Verdict } from "./verdicts";
@@ -75,6 +76,7 @@ export function Details({ hit, rateHz, explain, verdict, known = [], onVerdict, 
         </Button>
       </Group>
       {explain !== undefined && <Fit hit={hit} rateHz={rateHz} explain={explain} />}
+      <Why key={keyOf(hit)} take_id={hit.take_id} start={hit.start} stop={hit.stop} />
     </aside>
   );
 }

@@ -7,17 +7,19 @@ import { frameClock } from "../take/axis";
 import { ClassInput } from "./ClassInput";
 import type { Edits, LabelRow } from "./edits";
 import type { Item } from "./LabelLanes";
+import { Why } from "./Why";
 
 interface PanelProps {
   item: Item | null;
   rows: readonly LabelRow[];
+  takeId: number;
   frames: number;
   rateHz: number;
   edits: Edits;
   readOnly: boolean;
 }
 
-export function SegmentPanel({ item, rows, frames, rateHz, edits, readOnly }: PanelProps) {
+export function SegmentPanel({ item, rows, takeId, frames, rateHz, edits, readOnly }: PanelProps) {
   if (item === null)
     return (
       <Text size="sm" className="muted">
@@ -33,6 +35,7 @@ export function SegmentPanel({ item, rows, frames, rateHz, edits, readOnly }: Pa
       </Text>
       {item.annotation !== undefined && <Deciding item={item} edits={edits} readOnly={readOnly} />}
       {item.label !== undefined && !readOnly && <Correcting label={item.label} frames={frames} edits={edits} />}
+      <Why take_id={takeId} start={item.start} stop={item.stop} label={item.label?.class ?? item.annotation?.subclass ?? item.annotation?.class} />
       {item.label !== undefined && <History label={item.label} rows={rows} />}
     </section>
   );

@@ -113,6 +113,7 @@ function OpenLabels({ document, store, annotator }: OpenProps) {
             key={item?.key}
             item={item}
             rows={rows}
+            takeId={id}
             frames={document.frames}
             rateHz={document.rate_hz}
             edits={edits}
