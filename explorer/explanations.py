@@ -11,9 +11,9 @@ from typing import TYPE_CHECKING, Any
 from kinedex.explorer.answers import command_line, python_lines
 from kinedex.explorer.endpoints import get, take_of
 from kinedex.explorer.motion import check_interval, name_of, whole_number
-from kinedex.library.described_labels import DescribedLabels, described_labels, explain_interval, reasons_table
 from kinedex.ops.cache import Cache
 from kinedex.ops.intervals import Interval
+from kinedex.reports.class_explanations import DescribedLabels, described_labels, explain_interval, reasons_table
 
 if TYPE_CHECKING:
     from starlette.requests import Request

@@ -12,6 +12,7 @@ from markupsafe import Markup
 
 from kinedex.ops.evaluation.confusion import confusion
 from kinedex.ops.intervals import TakeSegment
+from kinedex.ops.numeric.explanation import Explanation
 from kinedex.ops.wording import counted, two_digits
 from kinedex.reports.archive_strip import archive_strip
 from kinedex.reports.cards import Card, card, readable, rules
@@ -74,6 +75,7 @@ def annotation_page(
     max_takes: int = 40,
     motions: EmbeddedMotions | None = None,
     near: Mapping[Key, int] | None = None,
+    why: Mapping[Key, Explanation] | None = None,
 ) -> str:
     """Render the page about an annotation.
 
@@ -89,6 +91,8 @@ def annotation_page(
         Motions of the player; None for a page without player.
     near : mapping of (take, class, start, stop) to int, or None
         Place of the nearest example of a segment in `motions.near`.
+    why : mapping of (take, class, start, stop) to Explanation, or None
+        What speaks for the class of a segment, and against it.
 
     Returns
     -------
@@ -119,6 +123,7 @@ def annotation_page(
             motions=motions,
             motions_json=motions_json(motions),
             near=near or {},
+            why=why or {},
             gaps=class_gaps(data),
             light=light,
             dark=dark,

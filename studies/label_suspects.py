@@ -162,6 +162,8 @@ def row(name: str, store: Store, kinds: Sequence[str], motions: Sequence[Motion]
             count = max(round(SHARE * len(found.labels) / len(kinds)), 1)
             found = plant(found, kind, count, store.feature_set, generator)
         wrong = {number for number, kind in enumerate(found.wrong) if kind}
+        if not wrong:
+            return f"| {name} | {kinds[0]} | none can be made{' |' * 6}"
         judgements = judged(found, store.rate_hz)
         ranks = sorted(range(len(judgements)), key=lambda one: -np.nan_to_num(judgements[one].suspicion))
         top = wrong & set(ranks[: 2 * len(wrong)])

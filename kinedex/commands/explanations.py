@@ -39,8 +39,8 @@ def explain(
     The quantities (heights, ways, speeds, turn, duration) speak for the class or against it, beside the class that is
     the most probable of the others. Examples are the labels of the store, and takes with a class.
     """
-    from kinedex.library.described_labels import described_labels, explain_interval, reasons_table
     from kinedex.pipelines.templates.stored_templates import clip_range
+    from kinedex.reports.class_explanations import described_labels, explain_interval, reasons_table
 
     opened = open_for_reading(store, at)
     interval = clip_range(opened, take, start, stop)

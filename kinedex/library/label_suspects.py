@@ -7,10 +7,10 @@ from typing import Any, NamedTuple
 
 import pyarrow as pa
 
-from kinedex.library.described_labels import taught_labels, windows_of
 from kinedex.ops.numeric.label_suspects import Judgement, Place, context_of, judge_labels
 from kinedex.ops.wording import counted
 from kinedex.pipelines.templates.examples import Example
+from kinedex.reports.class_explanations import taught_labels, windows_of
 from kinedex.storage.store.store import Store
 
 SUSPECTS_SCHEMA = pa.schema(

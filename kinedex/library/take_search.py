@@ -162,8 +162,8 @@ class TakeSearch(TakeCollection):
         """
         import polars as pl
 
-        from kinedex.library.described_labels import described_labels, explain_interval, reasons_table
         from kinedex.pipelines.templates.stored_templates import clip_range
+        from kinedex.reports.class_explanations import described_labels, explain_interval, reasons_table
 
         name = self._row(take)["name"]
         interval = clip_range(self.stored, name, start, stop)

@@ -25,6 +25,9 @@ LOW, HIGH = 10.0, 90.0
 
 DEGREES, LEG, PER_SECOND = "°", "leg lengths", "leg lengths/s"
 
+TELLING = {DEGREES: 5.0, LEG: 0.02, PER_SECOND: 0.05, "s": 0.05}
+"""The least difference between the medians of two classes of a quantity that is named, in its unit."""
+
 PARTS = {
     "head": ("head", "headtop", "neck"),
     "trunk": ("belly", "chest"),
@@ -161,8 +164,9 @@ def explain(
         value, every = float(quantity.read(descriptor[None])[0]), quantity.read(examples)
         own, theirs = every[classes == one], every[classes == other]
         share = float(shares[list(quantity.numbers)].sum())
-        nearer = abs(value - np.median(own)) < abs(value - np.median(theirs))
-        if nearer == (share > 0):
+        middle, other_middle = float(np.median(own)), float(np.median(theirs))
+        nearer = abs(value - middle) < abs(value - other_middle)
+        if nearer == (share > 0) and abs(middle - other_middle) >= TELLING[quantity.unit]:
             reasons.append(_reason(quantity, value, own, theirs, share))
     reasons.sort(key=lambda reason: -abs(reason.share))
     evidence = 0.5 * float(distances[other] - distances[one])

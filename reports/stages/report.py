@@ -13,10 +13,11 @@ from kinedex.pipelines.engine.page_files import write_page
 from kinedex.pipelines.engine.stage import Input, Stage
 from kinedex.reports.annotation_data import read_report_data
 from kinedex.reports.annotation_page import annotation_page, hits_to_play, shown_takes
+from kinedex.reports.class_explanations import explanations_of
 from kinedex.reports.embedded_motions import embed
 from kinedex.reports.example_motions import with_hits
 from kinedex.reports.page_environment import pages_digest
-from kinedex.reports.report_overview import SEGMENTS, csv_lines, in_order
+from kinedex.reports.report_overview import LOOKS, SEGMENTS, csv_lines, in_order
 from kinedex.storage.store.store import Store
 
 
@@ -88,7 +89,10 @@ class Report(Stage[Params]):
             motions, near = with_hits(
                 store, motions, hits_to_play(data), in_order(data.automatic), data.templates, context.progress
             )
-        page = annotation_page(data, takes=params.takes, max_takes=params.max_takes, motions=motions, near=near)
+        why = explanations_of(store, in_order(data.automatic)[:LOOKS])
+        page = annotation_page(
+            data, takes=params.takes, max_takes=params.max_takes, motions=motions, near=near, why=why
+        )
         size = write_page(page, path)
         table = context.report_file(SEGMENTS)
         write_page("".join(csv_lines(data)), table)

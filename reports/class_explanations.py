@@ -1,4 +1,4 @@
-"""Read the frames of labels and of classes of takes from a store, and explain intervals by them."""
+"""Explain which class an interval of a take shows, by the labels of its store and `kinedex.ops.numeric.explanation`."""
 
 from __future__ import annotations
 
@@ -18,6 +18,8 @@ from kinedex.storage.snapshot.frames import read_intervals
 from kinedex.storage.snapshot.parts import joint_positions
 
 if TYPE_CHECKING:
+    from kinedex.ops.intervals import TakeSegment
+    from kinedex.reports.report_overview import Key
     from kinedex.storage.store.store import Store
 
 Interval = tuple[int, int, int]
@@ -155,3 +157,23 @@ def reasons_table(found: Explanation) -> pa.Table:
     """Return the reasons of an explanation as a table, those that say most first."""
     rows = [{"speaks": "for" if one.share > 0 else "against", **one._asdict()} for one in found.reasons]
     return pa.Table.from_pylist(rows, schema=REASONS_SCHEMA)
+
+
+def explanations_of(store: Store, segments: Sequence[TakeSegment]) -> dict[Key, Explanation]:
+    """Explain the classes of segments; those that cannot be explained are missing.
+
+    Parameters
+    ----------
+    store : Store
+        The store with the takes of the segments.
+    segments : sequence of TakeSegment
+        The segments; subclasses are explained where they are known.
+    """
+    taught = described_labels(store)
+    found = {}
+    for one in segments:
+        try:
+            found[one.key] = explain_interval(store, taught, one.take, (one.start, one.stop), one.subclass or one.label)
+        except KinedexError:  # the body, or the examples, lack joints; the page shows the segment all the same
+            continue
+    return found
