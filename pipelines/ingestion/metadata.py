@@ -10,11 +10,12 @@ import re
 import shlex
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from functools import cached_property
+from functools import cache, cached_property
 from itertools import chain, starmap
 from pathlib import Path
 from typing import Any
 
+from kinedex.catalog.configs import config_path, load_yaml
 from kinedex.ops.errors import AcceptError, ConfigError, SourceError
 from kinedex.ops.wording import counted
 from kinedex.pipelines.ingestion.known_files import KnownFiles, Row
@@ -61,6 +62,18 @@ def group_values(groups: Mapping[str, str]) -> dict[str, Any]:
     return {name: groups.get(name) for name in EVERYWHERE} | {"groups": json.dumps(others, sort_keys=True)}
 
 
+@cache
+def _usual_patterns() -> tuple[str, ...]:
+    """Return the patterns that pipelines have where nobody gives any."""
+    return tuple(load_yaml(config_path("pipelines", "ingest")).mapping()["settings"]["patterns"])
+
+
+def missed_patterns(groups: Mapping[str, str] | None, patterns: Sequence[re.Pattern[str]]) -> tuple[str, ...]:
+    """Return the warning on a path in which none of the patterns is found; empty where the user gave no patterns."""
+    given = tuple(pattern.pattern for pattern in patterns)
+    return (NO_PATTERN,) if groups is None and given not in ((), _usual_patterns()) else ()
+
+
 @dataclass(frozen=True)
 class Descriptions:
     """The metadata of the takes of one source.
@@ -95,8 +108,7 @@ class Descriptions:
             if column.origin in _ORIGINS:
                 values[name] = (groups if column.origin == "pattern" else given).get(name)
         warnings = [one for one in row["warnings"] if one != NO_PATTERN]
-        unmatched = found is None and bool(self.patterns)
-        return values | {"warnings": [NO_PATTERN, *warnings] if unmatched else warnings}
+        return values | {"warnings": [*missed_patterns(found, self.patterns), *warnings]}
 
     def changed(self, rows: Iterable[Row], columns: Mapping[str, TakeColumn]) -> Iterator[Row]:
         """Yield the rows of takes whose metadata has changed, with the new values."""

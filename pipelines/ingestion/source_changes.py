@@ -35,7 +35,7 @@ from kinedex.pipelines.ingestion.known_files import (
     file_names,
     person_name,
 )
-from kinedex.pipelines.ingestion.metadata import EVERYWHERE, NO_PATTERN
+from kinedex.pipelines.ingestion.metadata import EVERYWHERE, missed_patterns
 from kinedex.storage.formats.motion.reader import Reader, ReadSettings
 from kinedex.storage.formats.motion.reader_table import persons_of, read_body, readers_by_ending
 from kinedex.storage.formats.motion.scanned_files import SkippedFile, SourceFile
@@ -150,7 +150,7 @@ def compare_source(
             groups = path_groups(motion.path, compiled)
             of_skeleton = skeleton_sums.of(skeleton) if skeleton is not None else ""
             made = work.recipes[motion.path] = recipe_of(made_by[motion.format], of_skeleton)
-            warnings = (*(() if groups is not None or not compiled else (NO_PATTERN,)), *doubts)
+            warnings = (*missed_patterns(groups, compiled), *doubts)
             task = Task(work.names[motion.path], -1, motion, skeleton, dict(groups or {}), made, warnings)
             if not work.is_unchanged(motion, partial(has_recipe, made_by[motion.format], of_skeleton), damaged):
                 work.tasks.append(task)

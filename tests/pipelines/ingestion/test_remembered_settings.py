@@ -137,3 +137,16 @@ def test_the_only_skeleton_of_a_folder_is_taken_with_a_warning(tmp_path: Path) -
     ingest(store, source)
     (warnings,) = open_store(store).takes()["warnings"].to_list()
     assert "its skeleton Skeleton.asf is taken because there is no other" in str(warnings)
+
+
+def test_only_patterns_that_a_user_gave_are_missed(tmp_path: Path) -> None:
+    source = write_archive(tmp_path / "archive", {"x_free.amc": 30, "angry/x_al_walk_1.amc": 30})
+    ingest(tmp_path / "store", source)
+    assert takes_that_miss(tmp_path / "store") == []
+    ingest(tmp_path / "store", source, patterns=[PATTERN])
+    assert takes_that_miss(tmp_path / "store") == ["x_free"]
+
+
+def takes_that_miss(store: Path) -> list[str]:
+    rows = open_store(store).takes().select("name", "warnings").rows()
+    return [name for name, warnings in rows if "its path matches no pattern of the config" in warnings]
