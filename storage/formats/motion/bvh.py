@@ -27,13 +27,13 @@ from kinedex.ops.errors import SourceError
 from kinedex.storage.formats.motion.bvh_parser import BvhFile
 from kinedex.storage.formats.motion.mapped_body import (
     corrected_rate,
-    is_shipped,
     mapped_orientation,
     posed,
     posed_bytes,
     recognition_evidence,
     recognition_warnings,
     refuse_far,
+    skips_spine,
     to_metres,
     turned_upright,
     unit_statement,
@@ -197,7 +197,7 @@ def _fitted(bvh: _Motion, name: str, mappings: Mappings, joints: tuple[str, ...]
         person = persons[chosen_person(bvh.path, name, [person.name for person in persons])]
         person, doubts, lost = _repaired(person)
         fit = mappings.exact(bvh.path, "bvh", person.indices)
-        if fit is None or _skips_spine(person, fit):
+        if fit is None or skips_spine(fit, [node.parent for node in person.nodes], person.offsets, person.twists):
             fit = mappings.recognised(bvh.path, "bvh", _evidence(bvh, person))
         elif fit.fallen:
             fit = mappings.completed(fit, _tree(person))
@@ -415,19 +415,6 @@ def _tree(person: Person) -> Evidence:
         parents=tuple(node.parent for node in person.nodes),
         offsets=person.offsets,
     )
-
-
-def _skips_spine(person: Person, fit: Fit) -> bool:
-    """Return whether a shipped mapping skips bones between chest and neck, as Mixamo's does in longer spines."""
-    chest, neck = fit.joints.get("chest"), fit.joints.get("neck")
-    if not is_shipped(fit) or chest is None or neck is None or chest.node is None or neck.node is None:
-        return False
-    above, node = fit.indices[chest.node], person.nodes[fit.indices[neck.node]].parent
-    long = False
-    while node >= 0 and node != above:
-        long = long or (bool(person.offsets[node].any()) and node not in person.twists)
-        node = person.nodes[node].parent
-    return long and node == above
 
 
 def _resting(person: Person) -> F64:

@@ -16,7 +16,12 @@ import numpy as np
 from kinedex.catalog.skeletons.body_evidence import SAMPLED_FRAMES, Evidence
 from kinedex.catalog.skeletons.limb_doubts import limb_doubts
 from kinedex.catalog.skeletons.mappings import Fit, Format, Mappings
-from kinedex.catalog.skeletons.recognition.node_places import exchange_warning, exchanged_names, with_exchanged
+from kinedex.catalog.skeletons.recognition.node_places import (
+    exchange_warning,
+    exchanged_names,
+    twist_nodes,
+    with_exchanged,
+)
 from kinedex.catalog.skeletons.root_units import OTHER_ROOT_UNIT, root_factor
 from kinedex.ops.arrays import F64
 from kinedex.ops.body import kinematics
@@ -36,6 +41,7 @@ from kinedex.storage.formats.motion.mapped_body import (
     recognition_evidence,
     recognition_warnings,
     refuse_far,
+    skips_spine,
     to_metres,
     turned_upright,
 )
@@ -177,6 +183,8 @@ def fitted_figure(path: Path, figure: Figure, mappings: Mappings, joints: tuple[
     evidence = _evidence(figure, places, offsets)
     nodes = {name: i for i, name in enumerate(figure.names) if not name.endswith("_end") or offsets[i].any()}
     fit = mappings.detect(path, "bvh", nodes, evidence)
+    if skips_spine(fit, figure.parents, offsets, twist_nodes(figure.names, figure.parents)):
+        fit = mappings.recognised(path, "bvh", evidence)
     fit = lost.marked(fit, figure.names) if lost is not None else fit
     fit = replace(fit, doubts=(*doubts, *fit.doubts)) if doubts else fit
     of_mapping = bones_of_mapping(figure, fit, places)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
 from pathlib import Path
@@ -351,6 +351,31 @@ def refuse_far(
 def is_shipped(fit: Fit) -> bool:
     """Return whether a fit uses a mapping that comes with kinedex, neither recognised nor the user's."""
     return not fit.recognised and _in_configs(fit.mapping.path)
+
+
+def skips_spine(fit: Fit, parents: Sequence[int], offsets: F64, twists: frozenset[int]) -> bool:
+    """Return whether a shipped mapping skips bones between chest and neck, as Mixamo's does in longer spines.
+
+    Parameters
+    ----------
+    fit : Fit
+        The skeleton mapping that fits the nodes.
+    parents : sequence of int
+        The parent of each of N nodes.
+    offsets : float64 array (N, 3)
+        Each node's offset from its parent.
+    twists : frozenset of int
+        The nodes that only divide a bone.
+    """
+    chest, neck = fit.joints.get("chest"), fit.joints.get("neck")
+    if not is_shipped(fit) or chest is None or neck is None or chest.node is None or neck.node is None:
+        return False
+    above, node = fit.indices[chest.node], parents[fit.indices[neck.node]]
+    long = False
+    while node >= 0 and node != above:
+        long = long or (bool(offsets[node].any()) and node not in twists)
+        node = parents[node]
+    return long and node == above
 
 
 @lru_cache(maxsize=64)
