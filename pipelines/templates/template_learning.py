@@ -120,10 +120,13 @@ class TrainingClips:
         return self._of([0])
 
     def _of(self, chosen: Sequence[int]) -> TrainingClips:
+        images = sum(index >= len(self.names) - self.mirrored for index in chosen)
         return TrainingClips(
             self.subclass,
             tuple(self.names[index] for index in chosen),
             tuple(self.words[index] for index in chosen),
+            mirrored=images,
+            source=self.source if images else "",
             takes=tuple(self.of_takes[index] for index in chosen),
             known=self.known,
             actors=tuple(self.of_actors[index] for index in chosen),

@@ -69,6 +69,8 @@ def test_few_labels_alone_annotate_an_archive_and_it_can_be_undone(
     assert stages["learn_templates"]["params"]["methods"] == ["soft"]
     thesis = learning_stages(open_store(archive), LearnRequest(method="thesis"))
     assert not thesis["annotate"]["params"]["each_example"]
+    numeric = learning_stages(open_store(archive), LearnRequest(method="numeric"))["annotate"]["params"]
+    assert (numeric["method"], numeric["each_example"], numeric["store_curves"]) == ("numeric", False, False)
     started = client.post("/api/learn", json={})
     assert started.status_code == 200, started.text
     assert client.post("/api/learn", json={}).status_code == 409

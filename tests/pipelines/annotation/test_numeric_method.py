@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
@@ -10,9 +11,10 @@ import pytest
 
 import kinedex
 from kinedex.catalog.classes import load_classes
-from kinedex.catalog.queries.keyframe_query import KeyframeQuery
+from kinedex.catalog.queries.keyframe_query import Keyframe, KeyframeQuery
 from kinedex.ops.errors import KinedexError
 from kinedex.ops.numeric.recogniser import Recogniser, TaughtMotion
+from kinedex.ops.templates.templates import learn_soft
 from kinedex.ops.words import NO_WORD, TakeWords
 from kinedex.pipelines.annotation import batches
 from kinedex.pipelines.annotation.annotators import Annotator, make_annotator
@@ -24,6 +26,7 @@ from kinedex.pipelines.engine.executors import make_executor
 from kinedex.pipelines.stages.annotate import Annotate
 from kinedex.pipelines.stages.compare_methods import CompareMethods
 from kinedex.pipelines.stages.learn_templates import LearnTemplates
+from kinedex.pipelines.templates.template_learning import SubclassTemplate
 from kinedex.storage.store.store import open_store
 from tests.ops.numeric.motions import RATE_HZ, in_a_row, motion
 from tests.pipelines.labelled import BODY, Line, write_store
@@ -172,11 +175,16 @@ def example(label: str, positions: np.ndarray, **more: object) -> LabelledMotion
     )
 
 
-def annotator(examples: list[LabelledMotion], queries: tuple[KeyframeQuery, ...] = (), **more: object) -> Annotator:
+def annotator(
+    examples: list[LabelledMotion],
+    queries: tuple[KeyframeQuery, ...] = (),
+    templates: Sequence[SubclassTemplate] = (),
+    **more: object,
+) -> Annotator:
     archive = Motions(lambda: [Motion(positions=in_a_row(["walk", "stand"], [60, 50], 500))])
     classes = load_classes("own", {one.label for one in examples})
     material = Material(Motions(lambda: examples), archive, RATE_HZ, **more)
-    return make_annotator(BODY, [], classes, 0.05, 0.13, queries, NumericMethod, material)
+    return make_annotator(BODY, templates, classes, 0.05, 0.13, queries, NumericMethod, material)
 
 
 TAUGHT = [example(label, motion(label, 36 + 2 * k, 10 * p + k)) for p, label in enumerate(CLASSES) for k in range(3)]
@@ -229,6 +237,23 @@ def test_a_mirrored_example_teaches_a_class_that_has_no_other() -> None:
     others = [example("raise right", TAUGHT[0].positions, mirrored=True)]
     same = found_in(annotator([*TAUGHT, *others]), TAKE)
     assert same == found_in(annotator(TAUGHT), TAKE)
+
+
+def test_keyframe_queries_preselect_frames_with_the_margins_of_templates() -> None:
+    pose = 0b1010_1010_1010
+    query = KeyframeQuery("it", "raise right", (Keyframe("upper", 0x3FFF, pose),), ())
+    template = SubclassTemplate("raise right", "soft", learn_soft([np.full(40, pose, np.uint64)], 40), ("clip",))
+    made = annotator(TAUGHT, (query,), templates=[template])
+    edges = np.cumsum([0, *ROWS["cat_take02"][1]])
+    words = np.zeros(len(TAKE), np.uint64)
+    every = found_in(annotator(TAUGHT), TAKE)
+    assert found_in(made, TAKE, words) == [one for one in every if one[0] != "raise right"]
+    words[edges[1] : edges[2]] = pose
+    raised = [one for one in every if one[0] == "raise right"]
+    within = [one for one in raised if edges[1] - 45 <= one[1] and one[2] <= edges[2] + 45]
+    assert within
+    assert found_in(made, TAKE, words) == [one for one in every if one[0] != "raise right" or one in within]
+    assert made.label == "numbers within keyframe hits"
 
 
 def test_everything_that_teaches_decides_the_hash_of_the_annotator() -> None:
