@@ -221,12 +221,13 @@ class Snapshot:
         list of float32 arrays (L, J, 3)
             Metres, Y up, in the order of the feature set's joints; NaN where a joint is not known.
         """
+        if not intervals:
+            return []
         joints = self.feature_set.joints
-        found = {
-            place: np.ascontiguousarray(joint_positions(rows, joints).transpose(2, 0, 1))
-            for place, rows in read_intervals(self.checked, self.manifest, intervals, joints)
-        }
-        return [found[place] for place in range(len(intervals))]
+        found = dict(read_intervals(self.checked, self.manifest, intervals, joints))
+        rows = [found[place] for place in range(len(intervals))]
+        together = np.ascontiguousarray(joint_positions(pa.concat_tables(rows), joints).transpose(2, 0, 1))
+        return np.split(together, np.cumsum([one.num_rows for one in rows])[:-1])
 
     def labels(self, *, history: bool = False) -> pa.Table:
         """Return the labels of the store, in the order in which they were added.

@@ -42,6 +42,10 @@ def stored(name: str, start: int, stop: int) -> np.ndarray:
     return arrays(name, LENGTHS[name])[0][:, :, start:stop].astype(np.float32)
 
 
+def test_no_interval_has_no_positions(store: Store) -> None:
+    assert store.positions([]) == []
+
+
 def test_every_interval_is_the_rows_of_its_take(store: Store) -> None:
     random = np.random.default_rng(1)
     names = [name for name in LENGTHS if LENGTHS[name] and name != "gone"]
@@ -52,6 +56,8 @@ def test_every_interval_is_the_rows_of_its_take(store: Store) -> None:
     intervals = [(store.take_ids[name], start, stop) for name, start, stop in asked]
     found = dict(read_intervals(store.checked, store.manifest, intervals, BODY.joints))
     assert sorted(found) == list(range(len(asked)))
+    for one, positions in zip(asked, store.positions(intervals), strict=True):
+        np.testing.assert_array_equal(positions.transpose(1, 2, 0), stored(*one))
     for place, one in enumerate(asked):
         assert set(found[place].column_names) == {"take_id", *BODY.joints}
         np.testing.assert_array_equal(joint_positions(found[place], BODY.joints), stored(*one))
