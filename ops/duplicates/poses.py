@@ -9,7 +9,7 @@ from functools import cached_property
 import numpy as np
 from numba import njit
 
-from kinedex.ops.arrays import F32, F64, I64
+from kinedex.ops.arrays import F32, F64, I64, Bool
 from kinedex.ops.body.joint_tree import JOINT_PARENTS
 
 _LENGTHS_M = {
@@ -53,10 +53,10 @@ class TakePoses:
             positions = positions[:, [joints.index(_other_side(joint, joints)) for joint in joints]]
         self._step = max(1, len(positions) // _MEASURED)
         self.own = local_poses(np.ascontiguousarray(positions), root, left, right, mirrored=mirrored)
-        known = np.isfinite(self.own[:: self._step, :, 0]).any(axis=0)
+        known: Bool = np.isfinite(self.own[:: self._step, :, 0]).any(axis=0)
         if not known.all():
             known = np.isfinite(self.own[:, :, 0]).any(axis=0)
-        self._parents, self._lengths_m = bones_of(joints, [bool(one) for one in known])
+        self._parents, self._lengths_m = bones_of(joints, known.tolist())
         self._order = np.array(sorted(range(len(joints)), key=lambda joint: _depth(self._parents, joint)))
         self.nbytes = self.own.nbytes
 
