@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Sequence
-from functools import cached_property
+from functools import cached_property, lru_cache
 
 import numpy as np
 from numba import njit
 
-from kinedex.ops.arrays import F32, F64, I64, Bool
+from kinedex.ops.arrays import F32, F64, I64
 from kinedex.ops.body.joint_tree import JOINT_PARENTS
 
 _LENGTHS_M = {
@@ -53,11 +53,9 @@ class TakePoses:
             positions = positions[:, [joints.index(_other_side(joint, joints)) for joint in joints]]
         self._step = max(1, len(positions) // _MEASURED)
         self.own = local_poses(np.ascontiguousarray(positions), root, left, right, mirrored=mirrored)
-        known: Bool = np.isfinite(self.own[:: self._step, :, 0]).any(axis=0)
-        if not known.all():
-            known = np.isfinite(self.own[:, :, 0]).any(axis=0)
-        self._parents, self._lengths_m = bones_of(joints, known.tolist())
-        self._order = np.array(sorted(range(len(joints)), key=lambda joint: _depth(self._parents, joint)))
+        some = np.isfinite(self.own[:: self._step, :, 0])
+        every = some if some.any(axis=0).all() else np.isfinite(self.own[:, :, 0])
+        self._parents, self._lengths_m, self._order = _chain(tuple(joints), tuple(map(any, every.T.tolist())))
         self.nbytes = self.own.nbytes
 
     def part_on_ordinary_body(self, start: int, stop: int) -> F32:
@@ -93,6 +91,13 @@ def _other_side(joint: str, joints: Sequence[str]) -> str:
     """Return the joint of the other side of the body; a joint in the middle is returned unchanged."""
     other = {"l": "r", "r": "l"}.get(joint[:1], "") + joint[1:]
     return other if other in joints else joint
+
+
+@lru_cache(64)
+def _chain(joints: tuple[str, ...], known: tuple[bool, ...]) -> tuple[I64, F64, I64]:
+    """Return parents and lengths of bones, see `bones_of`, and the joints with parents before their children."""
+    parents, lengths_m = bones_of(joints, known)
+    return parents, lengths_m, np.array(sorted(range(len(joints)), key=lambda joint: _depth(parents, joint)))
 
 
 def _depth(parents: I64, joint: int) -> int:
