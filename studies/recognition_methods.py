@@ -10,13 +10,11 @@ from typing import NamedTuple
 import numpy as np
 
 from kinedex.catalog.classes import OWN, load_classes
-from kinedex.ops.arrays import F64
 from kinedex.ops.body.joint_tree import JOINTS
-from kinedex.ops.numeric.candidate_cuts import CUTTING_READINESS, Candidates, candidate_cuts
+from kinedex.ops.numeric.candidate_cuts import CUTTING_READINESS, Candidates
 from kinedex.ops.numeric.channels import channels
-from kinedex.ops.numeric.recogniser import DURATION_WEIGHT, PER_FRAME, READINESS, Recogniser, TaughtMotion
-from kinedex.ops.numeric.span_chain import best_chain, spans_between
-from kinedex.ops.numeric.span_descriptors import SpanSums
+from kinedex.ops.numeric.recogniser import Recogniser, TaughtMotion
+from kinedex.ops.numeric.segment_confidence import READINESS
 from kinedex.ops.words import TakeWords
 from kinedex.pipelines.annotation.annotators import Annotator, make_annotator
 from kinedex.pipelines.annotation.batches import annotate_words
@@ -101,7 +99,7 @@ METHODS: Mapping[str, Method] = {
 def learned(store: Store, trial: Trial) -> Recogniser:
     """Return the recogniser that has learned the examples of a trial."""
     mirror = {one.label: mirrored(one.label) for one in trial.examples} if trial.sides else None
-    given = [TaughtMotion(one.positions, one.label) for one in trial.examples]
+    given = [TaughtMotion(one.positions, one.label, one.group) for one in trial.examples]
     return Recogniser.fit(given, [one.positions for one in trial.takes], JOINTS, store.rate_hz, mirror)
 
 
@@ -122,24 +120,20 @@ def most_of(labels: Sequence[Found]) -> str:
 
 def _by_part(taught: Recogniser, take: Motion, *, states: bool) -> list[Found]:
     """Label a take as the recogniser does, but by its states or its discriminant alone."""
-    found = channels(take.positions, taught.joints, taught.rate_hz)
-    projected, columns = taught.rows.project(found.frames), taught.rows.columns
-    candidates = candidate_cuts(projected, columns)
-    spans = spans_between(candidates.cuts, np.exp(taught.log_frames))
-    frames = (spans.stops - spans.starts)[:, None]
-    worth: F64 = -0.5 * DURATION_WEIGHT * (np.log(frames) - taught.log_frames) ** 2 / taught.spread
-    if not states:
-        posteriors = taught.discriminant.log_posteriors(
-            SpanSums(found, taught.rate_hz).describe(spans.starts, spans.stops)
-        )
-        worth += PER_FRAME * frames * posteriors
-        rows = replace(taught.rows, states=0 * taught.rows.states, usual=0 * taught.rows.usual)  # all alike
-        columns = rows.columns
-        candidates = Candidates(candidates.cuts, CUTTING_READINESS * candidates.cuts, np.zeros_like(projected[:, 0]))
-    chain = best_chain(projected, columns, candidates, spans, worth, READINESS)
+    own = taught.model.spans(channels(take.positions, taught.joints, taught.rate_hz))
+    if states:
+        own = own._replace(posteriors=0 * own.posteriors)
+    else:
+        rows = replace(taught.model.rows, states=0 * taught.model.rows.states, usual=0 * taught.model.rows.usual)
+        cuts = own.candidates.cuts
+        alike = Candidates(cuts, CUTTING_READINESS * cuts, np.zeros_like(own.projected[:, 0]))
+        own = own._replace(columns=rows.columns, candidates=alike)
+    frames = own.spans.stops - own.spans.starts
     return [
-        Found(int(spans.starts[span]), int(spans.stops[span]), taught.classes[kind], score / float(frames[span, 0]))
-        for span, kind, score in zip(*(one.tolist() for one in chain), strict=True)
+        Found(
+            int(own.spans.starts[span]), int(own.spans.stops[span]), taught.classes[kind], score / float(frames[span])
+        )
+        for span, kind, score in zip(*(one.tolist() for one in own.chain(READINESS)), strict=True)
     ]
 
 

@@ -31,12 +31,18 @@ class Discriminant:
         The weights of each class.
     biases : float64 array (P,)
         The constant of each class.
+    means : float64 array (P, D)
+        The standardised means of the classes.
+    lower : float64 array (D, D)
+        The Cholesky factor of the covariance within classes.
     """
 
     centre: F64
     scale: F64
     weights: F64
     biases: F64
+    means: F64
+    lower: F64
 
     @classmethod
     def fit(cls, descriptors: F64, classes: I64, shrinkage: float = SHRINKAGE) -> Discriminant:
@@ -66,14 +72,34 @@ class Discriminant:
         means = np.stack([standard[classes == one].mean(axis=0) for one in range(count)])
         within = standard - means[classes]
         covariance = within.T @ within / max(len(within) - count, 1)
-        weights = np.linalg.solve(shrunk(covariance, shrinkage), means.T)
-        return cls(centre, scale, weights, -0.5 * np.sum(means.T * weights, axis=0))
+        lower: F64 = np.linalg.cholesky(shrunk(covariance, shrinkage)).astype(np.float64)
+        weights: F64 = np.linalg.solve(lower.T, np.linalg.solve(lower, means.T))
+        return cls(centre, scale, weights, -0.5 * np.sum(means.T * weights, axis=0), means, lower)
 
     def log_posteriors(self, descriptors: F64) -> F64:
         """Return the logarithm of the probability of each class, float64 (S, P)."""
         scores = (descriptors - self.centre) / self.scale @ self.weights + self.biases
         scores -= scores.max(axis=1, keepdims=True)
         return scores - np.log(np.exp(scores).sum(axis=1, keepdims=True))
+
+    def distances(self, descriptors: F64, classes: I64) -> F64:
+        """Return how far descriptors are from the mean of a class, by the covariance within classes, float64 (S, 2).
+
+        The squared Mahalanobis distance is divided into the part within the space that the means of the classes span,
+        in which classes differ, and the other part, in which they do not.
+
+        Parameters
+        ----------
+        descriptors : float64 array (S, D)
+            The descriptors.
+        classes : int64 array (S,)
+            The class of each.
+        """
+        white = np.linalg.solve(self.lower, self.means.T).T
+        axes = np.linalg.svd(white - white.mean(axis=0), full_matrices=False)[2][: max(len(white) - 1, 1)]
+        away = np.linalg.solve(self.lower, ((descriptors - self.centre) / self.scale - self.means[classes]).T).T
+        within = ((away @ axes.T) ** 2).sum(axis=1)
+        return np.stack([within, np.maximum((away**2).sum(axis=1) - within, 0.0)], axis=1)
 
 
 def shrunk(covariance: F64, share: float) -> F64:

@@ -1,7 +1,7 @@
 """This module recognises motions by numbers: it learns classes from examples, and labels takes.
 
-Rows of states determine where a motion may begin and end, and a discriminant which class a span belongs to. The labels
-are the spans with the greatest sum of scores.
+Rows of states say where a motion may begin and end, and a discriminant says which class exactly this span is; the spans
+with the greatest sum of scores are the labels. Examples that are left out in turn say how probable a label is.
 """
 
 from __future__ import annotations
@@ -15,30 +15,25 @@ import numpy as np
 from kinedex.ops.arrays import F64
 from kinedex.ops.body.facing_direction import mirrored_positions
 from kinedex.ops.errors import ParameterError
-from kinedex.ops.numeric.candidate_cuts import candidate_cuts
-from kinedex.ops.numeric.channels import Channels, channels
-from kinedex.ops.numeric.discriminant import Discriminant
-from kinedex.ops.numeric.span_chain import best_chain, spans_between
+from kinedex.ops.numeric.channels import channels
+from kinedex.ops.numeric.motion_classes import DescribedMotion, MotionClasses, described
+from kinedex.ops.numeric.segment_confidence import SegmentConfidence, adapted, learn_segment_confidence, segments
 from kinedex.ops.numeric.span_descriptors import SpanSums
-from kinedex.ops.numeric.state_rows import StateRows
-
-READINESS = 8.0
-"""The evidence that is added to each frame of a label, for archives in which most motions are taught."""
-
-PER_FRAME = 1.0
-"""The weight of a frame's share in the log-probability of its span's class."""
-
-DURATION_WEIGHT = 10.0
-"""The weight of the squared deviation of a span's log duration from that of its class."""
 
 LEAST_FRAMES = 3
 """The fewest frames of an example."""
 
-CUTS = ((0.0, 1.0), (0.2, 1.0), (0.0, 0.8))
-"""The parts of an example by which its class is taught: spans in a take are rarely cut as examples are."""
+ONE_GROUP = (
+    "all examples are of one take or person, so that none can be left out: probabilities are those of usual archives, "
+    "and are not calibrated"
+)
+"""The remark on examples of a single group."""
 
-LEAST_SPREAD = 0.02
-"""The variance of log durations that is added to that of the examples."""
+FEW = (
+    "most classes have a single example, or examples of a single take or person, so that none can be left out: "
+    "probabilities are those of usual archives, and are not calibrated"
+)
+"""The remark on examples that cannot be left out."""
 
 
 class TaughtMotion(NamedTuple):
@@ -50,10 +45,14 @@ class TaughtMotion(NamedTuple):
         The joints in metres, Y up, at the common rate.
     label : str
         The name of the class.
+    group : str
+        The take, or the person, that it is of: examples of one group are left out together when confidence is learned.
+        Examples without one are groups of their own.
     """
 
     positions: F64
     label: str
+    group: str = ""
 
 
 class Recognised(NamedTuple):
@@ -62,18 +61,21 @@ class Recognised(NamedTuple):
     Attributes
     ----------
     start, stop : int
-        The half-open range of its frames.
+        Its frames, stop excluded.
     label : str
         The name of the class.
     probability : float
-        The probability of the class by the discriminant, for a span that shows one of the taught classes. It is not
-        calibrated.
+        The probability that the label is right: that the span shows a taught class, and that it is this one.
+    unlikeness : float
+        The share of right segments of examples which is less unlike the other examples of their classes than this span
+        is, from 0 to 1: near 1, the span shows what was never taught, or it is cut wrong.
     """
 
     start: int
     stop: int
     label: str
     probability: float
+    unlikeness: float
 
 
 @dataclass(frozen=True)
@@ -88,23 +90,20 @@ class Recogniser:
         Frames per second of examples and takes.
     classes : tuple of str
         The names of the classes.
-    rows : StateRows
-        The states of the classes.
-    discriminant : Discriminant
-        The discriminant that tells spans of the classes apart.
-    log_frames : float64 array (P,)
-        The mean of the logarithm of the examples' lengths.
-    spread : float
-        The variance of this logarithm within classes.
+    model : MotionClasses
+        What tells where the classes lie, and which is which.
+    confidence : SegmentConfidence
+        What tells how probable segments are.
+    remarks : tuple of str
+        What a user should know of the examples.
     """
 
     joints: tuple[str, ...]
     rate_hz: float
     classes: tuple[str, ...]
-    rows: StateRows
-    discriminant: Discriminant
-    log_frames: F64
-    spread: float
+    model: MotionClasses
+    confidence: SegmentConfidence
+    remarks: tuple[str, ...] = ()
 
     @classmethod
     def fit(
@@ -143,67 +142,54 @@ class Recogniser:
                 name = f"example {place} of '{one.label}'"
                 raise ParameterError(name, f"of {LEAST_FRAMES} frames or more", f"{len(one.positions)}")
         classes = tuple(sorted({one.label for one in examples}))
-        own = np.array([classes.index(one.label) for one in examples], np.int64)
-        found = [channels(one.positions, joints, rate_hz) for one in examples]
-        archive = [channels(one, joints, rate_hz) for one in unlabelled] or found
-        rows = StateRows.fit(
-            [one.frames for one in found], own, np.concatenate([one.frames for one in archive]), rate_hz
-        )
-        described = [_taught(one, rate_hz) for one in found]
-        labels = own.tolist()
-        for one in examples:
-            other = (mirror or {}).get(one.label)
-            if other in classes:
-                image = channels(mirrored_positions(one.positions, joints), joints, rate_hz)
-                described.append(_taught(image, rate_hz))
-                labels.append(classes.index(other))
-        descriptors = np.concatenate(described)
-        discriminant = Discriminant.fit(descriptors, np.repeat(labels, len(CUTS)))
-        logs = np.log([len(one.positions) for one in examples])
-        means = np.array([logs[own == one].mean() for one in range(len(classes))])
-        variance = np.mean([logs[own == one].var() for one in range(len(classes))])
-        return cls(tuple(joints), rate_hz, classes, rows, discriminant, means, float(1.25 * variance + LEAST_SPREAD))
+        described = [_described(one, classes, joints, rate_hz, mirror or {}) for one in examples]
+        archive = [channels(one, joints, rate_hz) for one in unlabelled]
+        frames = np.concatenate([one.frames for one in archive or [one.found for one in described]])
+        groups = [one.group or f"example {place}" for place, one in enumerate(examples)]
+        model = MotionClasses.learn(described, frames, rate_hz)
+        confidence = learn_segment_confidence(described, groups, frames, rate_hz)
+        remarks = () if len(confidence.tail) else (ONE_GROUP if len(set(groups)) == 1 else FEW,)
+        return cls(tuple(joints), rate_hz, classes, model, adapted(confidence, model, archive), remarks)
 
-    def label(self, positions: F64, readiness: float = READINESS) -> list[Recognised]:
+    def label(self, positions: F64, readiness: float | None = None) -> list[Recognised]:
         """Return the labelled spans of a take in their order; they do not overlap.
 
         Parameters
         ----------
         positions : float64 array (L, J, 3)
             The joints in metres, at the rate of the examples.
-        readiness : float
-            The evidence that is added to each frame of a label; with a lower value, more frames have no label.
+        readiness : float, optional
+            The evidence that is added to each frame of a label; less leaves more frames without one. Unless given, it
+            is what suits the unlabelled takes, and spans that are hardly probable are left out.
         """
-        found = channels(positions, self.joints, self.rate_hz)
-        projected, columns = self.rows.project(found.frames), self.rows.columns
-        candidates = candidate_cuts(projected, columns)
-        spans = spans_between(candidates.cuts, np.exp(self.log_frames))
-        posteriors = self.discriminant.log_posteriors(SpanSums(found, self.rate_hz).describe(spans.starts, spans.stops))
-        frames = (spans.stops - spans.starts)[:, None]
-        away = (np.log(frames) - self.log_frames) ** 2 / self.spread
-        worth = PER_FRAME * frames * posteriors - 0.5 * DURATION_WEIGHT * away
-        chain = best_chain(projected, columns, candidates, spans, worth, readiness)
+        take = self.model.spans(channels(positions, self.joints, self.rate_hz))
+        found = segments(self.model, take, self.confidence.readiness if readiness is None else readiness)
+        sure, unlike = self.confidence.probabilities(found), self.confidence.unlikeness(found)
+        least = self.confidence.least if readiness is None else 0.0
         return [
-            Recognised(
-                int(spans.starts[span]),
-                int(spans.stops[span]),
-                self.classes[kind],
-                float(np.exp(posteriors[span, kind])),
+            Recognised(start, stop, self.classes[kind], probability, unlikeness)
+            for start, stop, kind, probability, unlikeness in zip(
+                found.starts.tolist(), found.stops.tolist(), found.classes.tolist(), sure.tolist(), unlike.tolist(),
+                strict=True,
             )
-            for span, kind in zip(chain.spans.tolist(), chain.classes.tolist(), strict=True)
-        ]
+            if probability >= least
+        ]  # fmt: skip
 
     def classify(self, positions: F64) -> F64:
         """Return the logarithm of the probability of each class for a whole take, float64 (P,)."""
-        return self.discriminant.log_posteriors(_whole(channels(positions, self.joints, self.rate_hz), self.rate_hz))[0]
+        found = channels(positions, self.joints, self.rate_hz)
+        whole = SpanSums(found, self.rate_hz).describe(np.zeros(1, np.int64), np.array([len(found.yaw)], np.int64))
+        return self.model.discriminant.log_posteriors(whole)[0]
 
 
-def _whole(found: Channels, rate_hz: float) -> F64:
-    """Return the descriptor of a whole take, float64 (1, D)."""
-    return SpanSums(found, rate_hz).describe(np.zeros(1, np.int64), np.array([len(found.yaw)], np.int64))
-
-
-def _taught(found: Channels, rate_hz: float) -> F64:
-    """Return the descriptors of an example and of parts of it, the spans of `CUTS`, float64 (len(CUTS), D)."""
-    starts, stops = np.rint(np.array(CUTS) * len(found.yaw)).astype(np.int64).T
-    return SpanSums(found, rate_hz).describe(starts, stops)
+def _described(
+    example: TaughtMotion, classes: Sequence[str], joints: Sequence[str], rate_hz: float, mirror: Mapping[str, str]
+) -> DescribedMotion:
+    """Return an example as it is learned from."""
+    found = channels(example.positions, joints, rate_hz)
+    own = DescribedMotion(found, described(found, rate_hz), classes.index(example.label))
+    other = mirror.get(example.label)
+    if other not in classes:
+        return own
+    image = channels(mirrored_positions(example.positions, joints), joints, rate_hz)
+    return own._replace(image=described(image, rate_hz), image_label=classes.index(other))

@@ -140,6 +140,41 @@ def best_chain(
     return _chain(evidence, len(candidates.cuts), spans, worth, bounds, np.float32(readiness))
 
 
+def span_evidence(projected: F32, columns: StateColumns, background: F32, starts: I64, stops: I64) -> F64:
+    """Return the evidence of the best paths through the states of every class in given spans, float64 (n, P).
+
+    It is −∞ where a span is too short for a path from the first to the last state of a class.
+
+    Parameters
+    ----------
+    projected : float32 array (L, d + 1)
+        The projected frames of a take, with a 1 appended to each.
+    columns : StateColumns
+        The states.
+    background : float32 array (L,)
+        The evidence of the background in each frame.
+    starts, stops : int64 array (n,)
+        The half-open ranges of the spans, which do not overlap, in ascending order.
+    """
+    longest = int((stops - starts).max(initial=1))
+    ring = np.empty((1 << (longest - 1).bit_length(), columns.states.shape[1]), np.float32)
+    return _span_evidence(
+        _Evidence(projected, background, columns.states, ring, columns.lasts, columns.firsts), starts, stops
+    )
+
+
+@nb.njit(cache=True, nogil=True)
+def _span_evidence(evidence: _Evidence, starts: I64, stops: I64) -> F64:
+    """Return the evidence of every class in given spans, float64 (n, P) (kernel); see `span_evidence`."""
+    classes = len(evidence.firsts)
+    computed = np.zeros(classes, np.int64)
+    found = np.empty((len(starts), classes))
+    for n in range(len(starts)):
+        for k in range(classes):
+            found[n, k] = _paths(evidence, k, starts[n], stops[n : n + 1], computed, np.float32(0.0))[0]
+    return found
+
+
 @nb.njit(cache=True, nogil=True)
 def _chain(evidence: _Evidence, cuts: int, spans: Spans, worth: F64, bounds: F64, readiness: float) -> Chain:
     """Return the best chain (kernel).

@@ -28,6 +28,9 @@ MAX_STATES = 30
 SHRINKAGE = 0.2
 """The share of the diagonal in the covariance of states."""
 
+FEW_SHARE = 0.6
+"""The share of the variance of all frames in that of states which have one example each; with n it is 1 / n² of it."""
+
 DIRECTIONS = 20
 """The directions in which states are compared: those in which their means differ most."""
 
@@ -104,7 +107,7 @@ class StateRows:
             means = _means(standard, path, firsts)
             within = standard - means[path]
             covariance = within.T @ within / max(len(within) - len(means), len(within) // 5, 1)
-            projection = _projection(shrunk(covariance, SHRINKAGE), means)
+            projection = _projection(widened(shrunk(covariance, SHRINKAGE), len(examples) / len(counts)), means)
             states = means @ projection
             if turn < ROUNDS - 1:
                 paths = [
@@ -151,6 +154,20 @@ class StateRows:
         """
         projected = (frames - self.centre) @ self.projection
         return 0.5 * PER_NAT * (_squares(projected, self.usual).min(axis=1)[:, None] - _squares(projected, self.states))
+
+
+def widened(covariance: F64, examples: float) -> F64:
+    """Return a covariance within states with a share of that of all frames, which is 1: few examples hardly differ.
+
+    Parameters
+    ----------
+    covariance : float64 array (C, C)
+        The covariance of standardised frames within states.
+    examples : float
+        The mean number of examples of a class.
+    """
+    share = FEW_SHARE / examples**2
+    return (1.0 - share) * covariance + share * np.eye(len(covariance))
 
 
 def usual_frames(frames: F64, count: int, rounds: int = 15) -> F64:

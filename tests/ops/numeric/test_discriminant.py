@@ -56,3 +56,21 @@ def test_a_class_without_an_example_is_refused() -> None:
     descriptors, classes = examples()
     with pytest.raises(ParameterError, match="none of class 2"):
         Discriminant.fit(descriptors[classes != 2], classes[classes != 2])
+
+
+def test_distances_are_those_of_mahalanobis_in_two_parts() -> None:
+    generator = np.random.default_rng(3)
+    classes = np.arange(60) % 3
+    descriptors = generator.normal(size=(60, 5)) + 2.0 * np.eye(5)[classes]
+    found = Discriminant.fit(descriptors, classes)
+    new = generator.normal(size=(7, 5))
+    inverse = np.linalg.inv(found.lower @ found.lower.T)
+    standard = (new - found.centre) / found.scale
+    within = []
+    for label in range(3):
+        away = standard - found.means[label]
+        parts = found.distances(new, np.full(7, label))
+        np.testing.assert_allclose(parts.sum(axis=1), np.einsum("ij,jk,ik->i", away, inverse, away))
+        within.append(parts[:, 0])
+    odds = found.log_posteriors(new)
+    np.testing.assert_allclose(odds[:, 1] - odds[:, 0], (within[0] - within[1]) / 2)
