@@ -73,7 +73,7 @@ class Discriminant:
         within = standard - means[classes]
         covariance = within.T @ within / max(len(within) - count, 1)
         lower: F64 = np.linalg.cholesky(shrunk(covariance, shrinkage)).astype(np.float64)
-        weights: F64 = np.linalg.solve(lower.T, np.linalg.solve(lower, means.T))
+        weights: F64 = np.linalg.solve(lower.T, np.linalg.solve(lower, means.T)).astype(np.float64)
         return cls(centre, scale, weights, -0.5 * np.sum(means.T * weights, axis=0), means, lower)
 
     def log_posteriors(self, descriptors: F64) -> F64:
