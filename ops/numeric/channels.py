@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numba as nb
 import numpy as np
 
-from kinedex.ops.arrays import F32, F64, I64
+from kinedex.ops.arrays import F32, F64, I64, Bool
 from kinedex.ops.errors import ParameterError
 
 MAX_SPEED = 8.0
@@ -39,15 +39,18 @@ class Channels:
         The channels by which frames are compared: `pose`, `velocities`, `speeds` and `root`, side by side.
     yaw : float64 array (L,)
         The heading in radians without jumps of 2π; it grows in turns to the left.
+    known : bool array (J,)
+        The joints that are known; channels of others are 0.
     """
 
     frames: F32
     yaw: F64
+    known: Bool
 
     @property
     def joints(self) -> int:
         """Return the number of joints J."""
-        return (self.frames.shape[1] - 3 * len(EXTREMITIES) - 3) // 4
+        return len(self.known)
 
     @property
     def pose(self) -> F32:
@@ -81,10 +84,12 @@ class Channels:
 def channels(positions: F64 | F32, joints: Sequence[str], rate_hz: float) -> Channels:
     """Compute the channels of a take.
 
+    A joint counts as known if half of the frames have it; in the others its place relative to the root is interpolated.
+
     Parameters
     ----------
     positions : float64 or float32 array (L, J, 3)
-        The joints in metres, Y up.
+        The joints in metres, Y up; NaN where they are not known.
     joints : sequence of str, length J
         The names of the joints; the first is the root.
     rate_hz : float
@@ -93,25 +98,59 @@ def channels(positions: F64 | F32, joints: Sequence[str], rate_hz: float) -> Cha
     Raises
     ------
     ParameterError
-        There are fewer than two frames, a position is not known, or the legs have no length.
+        There are fewer than two frames; the root, both hips and shoulders, or both legs are not known; hips and
+        shoulders lie on a vertical; or the legs have no length.
     """
     if len(positions) < 2:
         raise ParameterError("positions", "of two frames or more", f"{len(positions)}")
-    if not np.isfinite(positions).all():
-        raise ParameterError("positions", "of known joints", "unknown places")
     place = {name: index for index, name in enumerate(joints)}
+    known = np.ones(len(joints), np.bool_)
+    if not np.isfinite(positions).all():
+        positions, known = _bridged(positions)
+        if not known[0]:
+            raise ParameterError("positions", f"with the joint {joints[0]} in half of the frames", "fewer")
     pairs = np.array([[place["lhip"], place["rhip"]], [place["lshoulder"], place["rshoulder"]]])
     legs = np.array([[place[side + name] for name in ("hip", "knee", "ankle")] for side in "lr"])
-    heading, sides = _heading_and_legs(positions, pairs, legs)
-    leg = float(np.median(sides, axis=1).mean())
+    seen, sides = known[pairs].all(axis=1), known[legs].all(axis=1)
+    if not seen.any():
+        raise ParameterError("positions", "with both hips or both shoulders in half of the frames", "neither")
+    if not sides.any():
+        raise ParameterError("positions", "with hip, knee and ankle of one side in half of the frames", "neither")
+    heading, lengths = _heading_and_legs(positions, pairs[seen], legs[sides])
+    leg = float(np.median(lengths, axis=1).mean())
     if leg <= 0:
         raise ParameterError("positions", "with legs that have a length", "0 m")
     if not np.isfinite(heading[0]):
         raise ParameterError("positions", "with hips or shoulders that are apart from above", "a vertical line")
     yaw = running_mean(heading, SMOOTHED_S * rate_hz)
     frames = np.empty((len(positions), 4 * len(joints) + 3 * len(EXTREMITIES) + 3), np.float32)
-    _fill_frames(positions, yaw, leg, rate_hz, np.array([place[name] for name in EXTREMITIES]), frames)
-    return Channels(frames, yaw)
+    _fill_frames(positions, yaw, leg, rate_hz, extremities(joints), frames)
+    if not known.all():
+        np.nan_to_num(frames, copy=False)
+    return Channels(frames, yaw, known)
+
+
+def extremities(joints: Sequence[str]) -> I64:
+    """Return the places of `EXTREMITIES` among the names of joints, int64 (5,)."""
+    return np.array([list(joints).index(name) for name in EXTREMITIES])
+
+
+def _bridged(positions: F64 | F32) -> tuple[F64, Bool]:
+    """Return joints (L, J, 3) without gaps, NaN if fewer than half of the frames have them; and which have (J,)."""
+    found = np.where(np.isfinite(positions).all(axis=2, keepdims=True), positions, np.nan).astype(np.float64)
+    seen = np.isfinite(found[..., 0])
+    known: Bool = 2 * seen.sum(axis=0) >= len(found)
+    frames = np.arange(len(found))
+    root = found[:, 0].copy()
+    for joint in np.flatnonzero(known).tolist():
+        away = found[:, joint] - (root if joint else 0.0)
+        own = np.isfinite(away[:, 0])
+        if own.any():
+            away = np.stack([np.interp(frames, frames[own], away[own, axis]) for axis in range(3)], axis=1)
+        found[:, joint] = np.where(seen[:, joint, None], found[:, joint], away + (found[:, 0] if joint else 0.0))
+        known[joint] = own.any()
+    found[:, ~known] = np.nan
+    return found, known
 
 
 def running_mean(values: F64, frames: float) -> F64:
@@ -140,22 +179,22 @@ def _heading_and_legs(positions: F64 | F32, pairs: I64, legs: I64) -> tuple[F64,
     ----------
     positions : float64 or float32 array (L, J, 3)
         The joints in metres, Y up.
-    pairs : int64 array (2, 2)
-        The left and the right hip, the left and the right shoulder.
-    legs : int64 array (2, 3)
-        The hip, the knee and the ankle of each leg.
+    pairs : int64 array (P, 2)
+        The left and the right joint of each known pair: of the hips, the shoulders, or both.
+    legs : int64 array (S, 3)
+        The hip, the knee and the ankle of each known leg.
 
     Returns
     -------
     heading : float64 array (L,)
         The heading; where it is not determined, that of the frame before, or else of the first frame that has one; NaN
         if no frame has one.
-    lengths : float64 array (2, L)
-        The length of the left and of the right leg.
+    lengths : float64 array (S, L)
+        The length of each leg.
     """
     frames = len(positions)
     heading = np.full(frames, np.nan)
-    lengths = np.zeros((2, frames))
+    lengths = np.zeros((len(legs), frames))
     known = 0  # the number of frames with a heading
     for t in range(frames):
         x = z = 0.0
@@ -172,7 +211,7 @@ def _heading_and_legs(positions: F64 | F32, pairs: I64, legs: I64) -> tuple[F64,
             known += 1
         elif known > 0:
             heading[t] = heading[t - 1]
-        for side in range(2):
+        for side in range(len(legs)):
             for part in range(2):
                 squares = 0.0
                 for axis in range(3):
@@ -225,7 +264,8 @@ def _fill_frames(positions: F64 | F32, yaw: F64, leg: float, rate_hz: float, ext
             y = (np.float64(new[j, 1]) - np.float64(old[j, 1])) * per_second
             z = (np.float64(new[j, 2]) - np.float64(old[j, 2])) * per_second
             moving[j, 0], moving[j, 1], moving[j, 2] = cosine * x - sine * z, y, sine * x + cosine * z
-            row[speeds + j] = min(math.sqrt(x * x + y * y + z * z), MAX_SPEED)
+            speed = math.sqrt(x * x + y * y + z * z)
+            row[speeds + j] = MAX_SPEED if speed > MAX_SPEED else speed
         for k in range(len(extremities)):
             for axis in range(3):
                 row[3 * joints - 3 + 3 * k + axis] = _limited(moving[extremities[k], axis], MAX_SPEED)
@@ -238,4 +278,4 @@ def _fill_frames(positions: F64 | F32, yaw: F64, leg: float, rate_hz: float, ext
 
 @nb.njit(cache=True, nogil=True)
 def _limited(value: float, limit: float) -> float:
-    return min(max(value, -limit), limit)
+    return limit if value > limit else -limit if value < -limit else value

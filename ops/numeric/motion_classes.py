@@ -7,15 +7,16 @@ with the greatest sum of scores are the segments.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
 
-from kinedex.ops.arrays import F32, F64, I64
+from kinedex.ops.arrays import F32, F64, I64, Bool
 from kinedex.ops.numeric.candidate_cuts import Candidates, candidate_cuts
 from kinedex.ops.numeric.channels import Channels
 from kinedex.ops.numeric.discriminant import Discriminant
+from kinedex.ops.numeric.partial_bodies import chosen_columns, restricted_discriminant
 from kinedex.ops.numeric.span_chain import Chain, Spans, best_chain, span_evidence, spans_between
 from kinedex.ops.numeric.span_descriptors import SpanSums
 from kinedex.ops.numeric.state_columns import StateColumns
@@ -56,6 +57,27 @@ class DescribedMotion(NamedTuple):
     label: int
     image: F64 | None = None
     image_label: int = -1
+
+
+class Archive(NamedTuple):
+    """The background of an archive, and which numbers are known in it.
+
+    Attributes
+    ----------
+    frames : float32 array (A, n)
+        The learned channels of frames of all kinds.
+    columns : bool array (C,)
+        The n channels that are learned.
+    numbers : bool array (D,)
+        The numbers of descriptors that are learned.
+    rate_hz : float
+        Frames per second.
+    """
+
+    frames: F32
+    columns: Bool
+    numbers: Bool
+    rate_hz: float
 
 
 class TakeSpans(NamedTuple):
@@ -121,6 +143,10 @@ class MotionClasses:
         The variance of it within classes.
     examples : float
         The mean number of examples of a class.
+    columns : bool array (C,)
+        The channels of frames that were learned.
+    numbers : bool array (D,)
+        The numbers of descriptors that were learned.
     """
 
     rate_hz: float
@@ -129,40 +155,50 @@ class MotionClasses:
     log_frames: F64
     spread: float
     examples: float
+    columns: Bool
+    numbers: Bool
 
     @classmethod
-    def learn(cls, examples: Sequence[DescribedMotion], archive: F64, rate_hz: float) -> MotionClasses:
+    def learn(cls, examples: Sequence[DescribedMotion], archive: Archive) -> MotionClasses:
         """Learn classes from examples.
 
         Parameters
         ----------
         examples : sequence of DescribedMotion
             The examples, one of each class at least.
-        archive : float64 array (A, C)
-            The channels of frames of all kinds, for the background.
-        rate_hz : float
-            Frames per second.
+        archive : Archive
+            The background, and the numbers to learn.
         """
         own = np.array([one.label for one in examples], np.int64)
-        rows = StateRows.fit([one.found.frames for one in examples], own, archive, rate_hz)
+        frames = [chosen_columns(one.found.frames, archive.columns) for one in examples]
+        rows = StateRows.fit(frames, own, archive.frames, archive.rate_hz)
         images = [one for one in examples if one.image is not None]
         described = [*(one.described for one in examples), *(one.image for one in images if one.image is not None)]
         labels = [*own.tolist(), *(one.image_label for one in images)]
-        discriminant = Discriminant.fit(np.concatenate(described), np.repeat(labels, len(CUTS)))
+        descriptors: F64 = chosen_columns(np.concatenate(described), archive.numbers)
+        discriminant = Discriminant.fit(descriptors, np.repeat(labels, len(CUTS)))
         logs = np.log([len(one.found.yaw) for one in examples])
         count = int(own.max()) + 1
         means = np.array([logs[own == one].mean() for one in range(count)])
         variance = np.mean([logs[own == one].var() for one in range(count)])
         return cls(
-            rate_hz, rows, discriminant, means, float(1.25 * variance + LEAST_SPREAD), len(examples) / count
+            archive.rate_hz, rows, discriminant, means, float(1.25 * variance + LEAST_SPREAD), len(examples) / count,
+            archive.columns, archive.numbers,
         )  # fmt: skip
+
+    def restricted(self, columns: Bool, numbers: Bool) -> MotionClasses:
+        """Return the same classes by some of the channels (C,) and numbers of descriptors (D,) that were learned."""
+        rows = self.rows.restricted(columns[self.columns])
+        discriminant = restricted_discriminant(self.discriminant, numbers[self.numbers])
+        return replace(self, rows=rows, discriminant=discriminant, columns=columns, numbers=numbers)
 
     def spans(self, found: Channels) -> TakeSpans:
         """Return the spans of a take between candidate cuts, with what their scores are computed from."""
-        projected, columns = self.rows.project(found.frames), self.rows.columns
+        projected, columns = self.rows.project(chosen_columns(found.frames, self.columns)), self.rows.columns
         candidates = candidate_cuts(projected, columns)
         spans = spans_between(candidates.cuts, np.exp(self.log_frames))
-        descriptors = SpanSums(found, self.rate_hz).describe(spans.starts, spans.stops)
+        sums = SpanSums(found, self.rate_hz)
+        descriptors = chosen_columns(sums.describe(spans.starts, spans.stops), self.numbers)
         frames = (spans.stops - spans.starts)[:, None]
         posteriors = PER_FRAME * frames * self.discriminant.log_posteriors(descriptors)
         lengths = -0.5 * DURATION_WEIGHT * (np.log(frames) - self.log_frames) ** 2 / self.spread

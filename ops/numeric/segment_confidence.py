@@ -15,7 +15,7 @@ import numpy as np
 from kinedex.ops.annotation.confidence import Confidence, Prior, learn_confidence
 from kinedex.ops.arrays import F64, I64, Bool
 from kinedex.ops.numeric.channels import Channels
-from kinedex.ops.numeric.motion_classes import DescribedMotion, MotionClasses, TakeSpans
+from kinedex.ops.numeric.motion_classes import Archive, DescribedMotion, MotionClasses, TakeSpans
 
 CLASS_PRIOR = Prior(
     ("evidence", "within", "outside", "margin", "duration", "examples"),
@@ -192,7 +192,7 @@ class Checked(NamedTuple):
 
 
 def learn_segment_confidence(
-    examples: Sequence[DescribedMotion], groups: Sequence[str], archive: F64, rate_hz: float
+    examples: Sequence[DescribedMotion], groups: Sequence[str], archive: Archive
 ) -> SegmentConfidence:
     """Learn the confidence of segments by leaving examples out.
 
@@ -202,13 +202,11 @@ def learn_segment_confidence(
         The examples, one of each class at least.
     groups : sequence of str, length E
         The take, or the person, of each example; those of one group are left out together.
-    archive : float64 array (A, C)
-        The channels of frames of all kinds, for the background.
-    rate_hz : float
-        Frames per second.
+    archive : Archive
+        The background, and the numbers to learn.
     """
     count = max(one.label for one in examples) + 1
-    found = list(_checked(examples, groups, archive, rate_hz))
+    found = list(_checked(examples, groups, archive))
     evidence, classes, right = (
         np.concatenate([getattr(one, name)[~one.foreign] for one in found] or [empty]) for name, empty in _NONE.items()
     )
@@ -320,9 +318,7 @@ def chosen_readiness(
     return READY[best[0]], LEAST_PROBABLE[best[1]]
 
 
-def _checked(
-    examples: Sequence[DescribedMotion], groups: Sequence[str], archive: F64, rate_hz: float
-) -> Iterator[Checked]:
+def _checked(examples: Sequence[DescribedMotion], groups: Sequence[str], archive: Archive) -> Iterator[Checked]:
     """Yield the segments of what is left out, groups in turn."""
     names = sorted(set(groups))
     if len(names) < 2:
@@ -335,7 +331,7 @@ def _checked(
         out = _few([one for one, group in zip(examples, groups, strict=True) if part[group] == fold], count)
         known = {one.label for one in kept}
         if known and out:
-            yield _labelled(kept, out, archive, rate_hz)
+            yield _labelled(kept, out, archive)
 
 
 def _few(examples: Sequence[DescribedMotion], count: int) -> list[DescribedMotion]:
@@ -349,7 +345,7 @@ def _few(examples: Sequence[DescribedMotion], count: int) -> list[DescribedMotio
     return found
 
 
-def _labelled(kept: Sequence[DescribedMotion], out: Sequence[DescribedMotion], archive: F64, rate_hz: float) -> Checked:
+def _labelled(kept: Sequence[DescribedMotion], out: Sequence[DescribedMotion], archive: Archive) -> Checked:
     """Return the segments that some examples find in others, which are laid end to end."""
     taught = sorted({one.label for one in kept})
     place = {label: index for index, label in enumerate(taught)}
@@ -359,9 +355,10 @@ def _labelled(kept: Sequence[DescribedMotion], out: Sequence[DescribedMotion], a
         else one._replace(label=place[one.label], image=None)
         for one in kept
     ]
-    model = MotionClasses.learn(own, archive, rate_hz)
+    model = MotionClasses.learn(own, archive)
     parts = [one.found for one in out]
-    laid = Channels(np.concatenate([one.frames for one in parts]), np.concatenate([one.yaw for one in parts]))
+    frames, yaw = (np.concatenate([getattr(one, name) for one in parts]) for name in ("frames", "yaw"))
+    laid = Channels(frames, yaw, parts[0].known)
     found = segments(model, model.spans(laid), READINESS)
     true = np.repeat([one.label for one in out], [len(one.found.yaw) for one in out])
     classes = np.array(taught, np.int64)[found.classes]

@@ -10,11 +10,12 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from typing import NamedTuple
 
 import numba as nb
 import numpy as np
 
-from kinedex.ops.arrays import F32, F64, I64
+from kinedex.ops.arrays import F32, F64, I64, Bool
 from kinedex.ops.errors import ParameterError
 from kinedex.ops.numeric.discriminant import shrunk
 from kinedex.ops.numeric.state_columns import PIECE, StateColumns
@@ -47,6 +48,27 @@ PER_NAT = 0.1
 """The weight of log-likelihoods: frames that follow each other repeat much of their evidence."""
 
 
+class LearnedStates(NamedTuple):
+    """States in all directions of the standardised channels.
+
+    Attributes
+    ----------
+    spread : float64 array (C,)
+        What centred channels are divided by.
+    covariance : float64 array (C, C)
+        The covariance within states.
+    means : float64 array (S, C)
+        The means of the states.
+    usual : float64 array (B, C)
+        The means of the frames of the archive that are nearest to each usual frame.
+    """
+
+    spread: F64
+    covariance: F64
+    means: F64
+    usual: F64
+
+
 @dataclass(frozen=True)
 class StateRows:
     """Rows of states of P classes.
@@ -63,6 +85,8 @@ class StateRows:
         The first state of each class, and S.
     usual : float64 array (B, d)
         The projected usual frames.
+    learned : LearnedStates
+        The standardised numbers from which these are projected.
     """
 
     centre: F64
@@ -70,6 +94,7 @@ class StateRows:
     states: F64
     firsts: I64
     usual: F64
+    learned: LearnedStates
 
     @classmethod
     def fit(cls, examples: Sequence[F32 | F64], classes: I64, archive: F32 | F64, rate_hz: float) -> StateRows:
@@ -107,16 +132,36 @@ class StateRows:
             means = _means(standard, path, firsts)
             within = standard - means[path]
             covariance = within.T @ within / max(len(within) - len(means), len(within) // 5, 1)
-            projection = _projection(widened(shrunk(covariance, SHRINKAGE), len(examples) / len(counts)), means)
+            covariance = widened(shrunk(covariance, SHRINKAGE), len(examples) / len(counts))
+            projection = _projection(covariance, means)
             states = means @ projection
             if turn < ROUNDS - 1:
                 paths = [
                     _aligned(standard[end - length : end] @ projection, states, int(firsts[one]), int(firsts[one + 1]))
                     for one, length, end in zip(classes.tolist(), lengths, ends.tolist(), strict=True)
                 ]
-        some = archive[:: max(1, -(-len(archive) // MAX_USUAL))]
-        usual = usual_frames((some - centre) / spread @ projection, USUAL)
-        return cls(centre, projection / spread[:, None], states, firsts, usual)
+        some = (archive[:: max(1, -(-len(archive) // MAX_USUAL))] - centre) / spread
+        usual = usual_frames(some @ projection, USUAL)
+        nearest = _squares(some @ projection, usual).argmin(axis=1)
+        own = np.stack([some[nearest == one].mean(axis=0) for one in np.unique(nearest)])
+        learned = LearnedStates(spread, covariance, means, own)
+        return cls(centre, projection / spread[:, None], states, firsts, usual, learned)
+
+    def restricted(self, columns: Bool) -> StateRows:
+        """Return the same states by some of the channels, as their part of the covariance tells.
+
+        Parameters
+        ----------
+        columns : bool array (C,)
+            The channels that are known.
+        """
+        of = self.learned
+        covariance, means = of.covariance[np.ix_(columns, columns)], of.means[:, columns]
+        projection, usual, spread = _projection(covariance, means), of.usual[:, columns], of.spread[columns]
+        return StateRows(
+            self.centre[columns], projection / spread[:, None], means @ projection, self.firsts, usual @ projection,
+            LearnedStates(spread, covariance, means, usual),
+        )  # fmt: skip
 
     @cached_property
     def columns(self) -> StateColumns:

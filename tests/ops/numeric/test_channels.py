@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from kinedex.ops.arrays import F64
 from kinedex.ops.body.facing_direction import mirrored_positions, turn_about_y
 from kinedex.ops.body.joint_tree import JOINTS
 from kinedex.ops.errors import ParameterError
@@ -76,12 +79,55 @@ def test_a_running_mean_is_the_mean_of_those_around(frames: float) -> None:
     np.testing.assert_allclose(running_mean(values, frames), expected, atol=1e-12)
 
 
+def hidden(take: F64, names: Sequence[str]) -> F64:
+    """Return a take without some joints."""
+    found = take.copy()
+    found[:, [JOINTS.index(name) for name in names]] = np.nan
+    return found
+
+
+@pytest.mark.parametrize("names", [["lhip"], ["lshoulder"], ["rknee", "rankle"], ["lwrist", "head", "rtoes"]])
+def test_one_pair_gives_the_heading_and_one_leg_the_size(names: list[str]) -> None:
+    found, whole = channels(hidden(TAKE, names), JOINTS, RATE_HZ), channels(TAKE, JOINTS, RATE_HZ)
+    assert [JOINTS[k] for k in np.flatnonzero(~found.known)] == [name for name in JOINTS if name in names]
+    np.testing.assert_allclose(found.yaw, whole.yaw, atol=0.2)
+    np.testing.assert_allclose(found.root[:, 5], whole.root[:, 5], atol=0.05)
+    nowhere = JOINTS.index(names[0]) - 1
+    assert not found.pose[:, 3 * nowhere : 3 * nowhere + 3].any()
+    assert np.isfinite(found.frames).all()
+
+
+def test_a_gap_is_bridged_beside_the_root() -> None:
+    walk = motion("walk", 60)
+    seen = np.ones(60, bool)
+    seen[20:32] = False
+    part = walk.copy()
+    part[~seen, JOINTS.index("rwrist")] = np.nan
+    part[40:42] = np.inf
+    found, whole = channels(part, JOINTS, RATE_HZ), channels(walk, JOINTS, RATE_HZ)
+    assert found.known.all()
+    np.testing.assert_allclose(found.frames, whole.frames, atol=0.5)
+    np.testing.assert_allclose(found.pose, whole.pose, atol=0.03)
+    np.testing.assert_allclose(found.frames[:19], whole.frames[:19], atol=1e-3)
+
+
+def test_a_joint_that_most_frames_lack_is_not_known() -> None:
+    part = TAKE.copy()
+    part[: len(TAKE) // 2 + 1, JOINTS.index("head")] = np.nan
+    found = channels(part, JOINTS, RATE_HZ)
+    assert JOINTS[int(np.flatnonzero(~found.known)[0])] == "head"
+    assert not found.speeds[:, JOINTS.index("head")].any()
+
+
 def test_what_has_no_channels_is_refused() -> None:
     with pytest.raises(ParameterError, match="two frames"):
         channels(TAKE[:1], JOINTS, RATE_HZ)
-    hidden = TAKE.copy()
-    hidden[3, 5] = np.nan
-    with pytest.raises(ParameterError, match="known joints"):
-        channels(hidden, JOINTS, RATE_HZ)
+    for names, said in (
+        (["root"], "the joint root"),
+        (["lhip", "rshoulder"], "both hips or both shoulders"),
+        (["lhip", "rankle"], "ankle of one side"),
+    ):
+        with pytest.raises(ParameterError, match=said):
+            channels(hidden(TAKE, names), JOINTS, RATE_HZ)
     with pytest.raises(ParameterError, match="apart from above"):
         channels(TAKE * np.array([0.0, 1.0, 0.0]), JOINTS, RATE_HZ)
