@@ -4,9 +4,12 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 
 from kinedex.ops.body.facing_direction import mirrored_positions, turn_about_y
 from kinedex.ops.body.joint_tree import JOINTS
+from kinedex.ops.body.resample import resample
 from kinedex.ops.errors import ParameterError
 from kinedex.ops.numeric.recogniser import Recogniser, TaughtMotion
 from tests.ops.numeric.motions import MIRROR, RATE_HZ, in_a_row, motion
@@ -34,10 +37,33 @@ def test_motions_are_found_between_others(taught: Recogniser) -> None:
     assert all(one.probability > 0.9 for one in found)
 
 
-def test_place_and_heading_do_not_matter(taught: Recogniser) -> None:
+@settings(max_examples=12, deadline=None)
+@given(yaw=st.floats(-3.1, 3.1), x=st.floats(-50, 50), z=st.floats(-50, 50), size=st.floats(0.4, 2.5))
+def test_place_heading_and_size_do_not_matter(taught: Recogniser, yaw: float, x: float, z: float, size: float) -> None:
     take = in_a_row(ROW, LENGTHS, 100)
-    found = taught.label(turn_about_y(take, 2.0) + np.array([7.0, 0.0, -3.0]))
+    found = taught.label(size * (turn_about_y(take, yaw) + np.array([x, 0.0, z])))
     assert [one[:3] for one in found] == [one[:3] for one in taught.label(take)]
+
+
+@settings(max_examples=8, deadline=None)
+@given(sizes=st.lists(st.floats(0.5, 2.0), min_size=9, max_size=9), yaw=st.floats(-3.1, 3.1))
+def test_places_and_sizes_of_examples_do_not_matter(taught: Recogniser, sizes: list[float], yaw: float) -> None:
+    examples = [
+        TaughtMotion(sizes[k] * turn_about_y(motion(NAMES[k % 3], 34 + 2 * k, k), yaw), NAMES[k % 3]) for k in range(9)
+    ]
+    other = Recogniser.fit(examples, ARCHIVE, JOINTS, RATE_HZ, MIRROR)
+    take = in_a_row(ROW, LENGTHS, 100)
+    assert [one[:3] for one in other.label(take)] == [one[:3] for one in taught.label(take)]
+
+
+@pytest.mark.parametrize("source_hz", [60.0, 90.0, 120.0])
+def test_rates_of_sources_do_not_matter(taught: Recogniser, source_hz: float) -> None:
+    take = in_a_row(ROW, LENGTHS, 100)
+    tracks = np.ascontiguousarray(take.transpose(1, 2, 0))
+    still = np.tile(np.array([[1.0], [0.0], [0.0], [0.0]]), len(take))
+    fine = resample(tracks, still, RATE_HZ, source_hz)
+    again = resample(fine.positions, fine.orientation, source_hz, RATE_HZ).positions.transpose(2, 0, 1)
+    assert [one[:3] for one in taught.label(again)] == [one[:3] for one in taught.label(take)]
 
 
 def test_a_mirror_image_has_the_mirrored_labels() -> None:
