@@ -13,7 +13,7 @@ from kinedex.ops.arrays import F64
 from kinedex.ops.body.joint_tree import JOINTS
 from kinedex.ops.errors import ParameterError
 from kinedex.ops.numeric.channels import channels
-from kinedex.ops.numeric.state_rows import StateRows, best_path, usual_frames
+from kinedex.ops.numeric.state_rows import StateRows, best_path, usual_frames, widened
 from tests.ops.numeric.motions import RATE_HZ, in_a_row, motion
 
 
@@ -67,3 +67,11 @@ def test_examples_that_teach_nothing_are_refused() -> None:
         StateRows.fit([frames, frames[:1]], np.array([0, 1]), frames, RATE_HZ)
     with pytest.raises(ParameterError, match="none of class 1"):
         StateRows.fit([frames, frames], np.array([0, 2]), frames, RATE_HZ)
+
+
+def test_few_examples_say_little_of_what_varies() -> None:
+    narrow = 0.01 * np.eye(3)
+    spreads = [float(widened(narrow, count)[0, 0]) for count in (1.0, 2.0, 5.0, 100.0)]
+    assert spreads == sorted(spreads, reverse=True)
+    assert spreads[0] > 0.5
+    assert spreads[-1] == pytest.approx(0.01, rel=0.01)
