@@ -1,7 +1,7 @@
 """This module learns how probable it is that a segment of a recogniser has the right class, and how unlike it is.
 
-Examples are left out in turn, by takes or persons, and classes too, so that what they show is foreign to the others.
-What is left out is laid end to end and labelled, and the labels are compared with the truth.
+Examples are left out in turn, by takes or persons, laid end to end and labelled by what the others teach; the labels are
+compared with the truth. The unlabelled takes of an archive say how much of it shows taught motion at all.
 """
 
 from __future__ import annotations
