@@ -1,7 +1,7 @@
 """This module learns how probable it is that a segment of a recogniser has the right class, and how unlike it is.
 
-Examples are left out in turn, by takes or persons, laid end to end and labelled by what the others teach; the labels are
-compared with the truth. The unlabelled takes of an archive say how much of it shows taught motion at all.
+Examples are left out in turn, by takes or persons, laid end to end and labelled by what the others teach; the labels
+are compared with the truth. The unlabelled takes of an archive say how much of it shows taught motion at all.
 """
 
 from __future__ import annotations
@@ -135,7 +135,7 @@ def segments(model: MotionClasses, take: TakeSpans, readiness: float) -> Segment
 
 @dataclass(frozen=True)
 class SegmentConfidence:
-    """What was learned from examples that were left out, and from the unlabelled takes of an archive.
+    """The confidence of segments, from examples that were left out and the unlabelled takes of an archive.
 
     Attributes
     ----------
