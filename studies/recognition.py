@@ -49,9 +49,9 @@ CLOSE, FEW = 0.05, 20
 """A bucket of confidences holds where the share of right labels is so near to their mean; one of few is not judged."""
 
 PATHS = {
-    "thesis": "kinedex.pipelines.annotation.methods:ThesisMethod",
-    "best": "kinedex.pipelines.annotation.methods:BestMethod",
-    "each_example": "kinedex.pipelines.annotation.single_examples:with_single_examples",
+    "thesis": "kinedex.pipelines.annotation.template_methods:ThesisMethod",
+    "best": "kinedex.pipelines.annotation.template_methods:BestMethod",
+    "each_example": "kinedex.pipelines.annotation.single_examples:SingleExamples",
 }
 """The code of methods by templates; what they labelled is kept while it is the same."""
 

@@ -18,8 +18,10 @@ from kinedex.ops.numeric.segment_confidence import READINESS
 from kinedex.ops.words import TakeWords
 from kinedex.pipelines.annotation.annotators import Annotator, make_annotator
 from kinedex.pipelines.annotation.batches import annotate_words
-from kinedex.pipelines.annotation.methods import annotation_method
-from kinedex.pipelines.annotation.single_examples import usual_postures, with_single_examples
+from kinedex.pipelines.annotation.methods import AnnotationMethod, LabelledMotion, Material, Motions
+from kinedex.pipelines.annotation.methods import Motion as Unlabelled
+from kinedex.pipelines.annotation.single_examples import SingleExamples
+from kinedex.pipelines.annotation.template_methods import BestMethod, ThesisMethod
 from kinedex.pipelines.engine.executors import make_executor
 from kinedex.pipelines.templates.template_learning import TrainingClips, learn_templates
 from kinedex.storage.store.store import Store
@@ -43,19 +45,17 @@ Method = Callable[[Store, Trial], list[list[Found]]]
 
 def by_thesis(store: Store, trial: Trial) -> list[list[Found]]:
     """Label by the thesis's method, with a template for each class."""
-    return _labelled(_annotator(store, trial.examples, "thesis"), trial.takes)
+    return _labelled(_annotator(store, trial.examples, ThesisMethod), trial.takes)
 
 
 def by_best(store: Store, trial: Trial) -> list[list[Found]]:
     """Label by method best, with a template for each class."""
-    return _labelled(_annotator(store, trial.examples, "best"), trial.takes)
+    return _labelled(_annotator(store, trial.examples, BestMethod), trial.takes)
 
 
 def by_each_example(store: Store, trial: Trial) -> list[list[Found]]:
     """Label by method best, with a template for each example."""
-    usual = usual_postures(_words(trial.takes).words, len(store.feature_set.features))
-    annotator = _annotator(store, trial.examples, "best")
-    return _labelled(with_single_examples(annotator, _clips(trial.examples), [], usual, DELTA), trial.takes)
+    return _labelled(_annotator(store, trial.examples, SingleExamples, trial.takes), trial.takes)
 
 
 def by_numbers(store: Store, trial: Trial) -> list[list[Found]]:
@@ -137,8 +137,10 @@ def _by_part(taught: Recogniser, take: Motion, *, states: bool) -> list[Found]:
     ]
 
 
-def _annotator(store: Store, examples: Sequence[Motion], method: str) -> Annotator:
-    """Return the annotator of a method, with a template for each class of the examples."""
+def _annotator(
+    store: Store, examples: Sequence[Motion], method: type[AnnotationMethod], takes: Sequence[Motion] = ()
+) -> Annotator:
+    """Return the annotator of a method by templates, learned from examples and unlabelled takes."""
     executor = make_executor("serial", None)
     clips = _clips(examples)
     templates = [
@@ -146,7 +148,10 @@ def _annotator(store: Store, examples: Sequence[Motion], method: str) -> Annotat
     ]
     return make_annotator(
         store.feature_set, templates, load_classes(OWN, {one.subclass for one in clips}), DELTA, TAU,
-        method=annotation_method(method), clips=lambda: [one.words for one in examples],
+        method=method, clips=Material(
+            Motions(lambda: [LabelledMotion(words=one.words, label=one.label) for one in examples]),
+            Motions(lambda: [Unlabelled(words=one.words) for one in takes]),
+        ),
     )  # fmt: skip
 
 

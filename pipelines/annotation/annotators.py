@@ -105,6 +105,13 @@ class Annotator:
         chosen : int64 array (C,)
             The indices of the kept templates among all templates.
         """
+        if self.method.needs.templates == "none" and hasattr(self.method, "restricted"):
+            queries = self.queries
+            if any(queries):
+                pairs = zip(queries, self.margins, strict=True)
+                queries = tuple(known_queries(*pair, self.feature_set, known) for pair in pairs)
+            every = np.arange(len(self.subclasses))
+            return replace(self, queries=queries, method=self.method.restricted(known, self.templates, every)), every
         kept = {s: own for s, one in enumerate(self.templates) if (own := restricted_template(one, known)) is not None}
         chosen = np.array(list(kept), np.int64)
         make = getattr(self.method, "restricted", None)
@@ -136,13 +143,16 @@ class Annotator:
 
         `known` has the masks of these takes by take_id.
         """
+        takes = counted(len(known), "take")
         if known and not hasattr(self.method, "restricted"):
-            what, which = "features", "joints"
-            if self.method.needs.positions:
-                what, which = "joints", name_list(self._lacking(known.values()))
+            what = "joints" if self.method.needs.positions else "features"
             return [
-                f"the method '{self.method.name}' needs all {what}: {counted(len(known), 'take')} whose bodies lack "
-                f"{which} have no annotation"
+                f"the method '{self.method.name}' needs all {what}: {takes} whose bodies lack joints have no annotation"
+            ]
+        if known and self.method.needs.templates == "none":
+            return [
+                f"{takes} whose bodies lack joints ({name_list(self._lacking(known.values()))}) are labelled by the "
+                "joints that they have; without a pair of hips or shoulders, or without a whole leg, they have no label"
             ]
         return remarks_on(self.partly_known(known), known)
 

@@ -15,7 +15,9 @@ from kinedex.catalog.mirrored_classes import mirrored_class
 from kinedex.ops.annotation.segments import Segment
 from kinedex.ops.arrays import F64, I64, Bool
 from kinedex.ops.errors import KinedexError, ParameterError
+from kinedex.ops.numeric.channels import channels
 from kinedex.ops.numeric.recogniser import LEAST_FRAMES, Recogniser, TaughtMotion
+from kinedex.ops.templates.templates import QuantisedTemplate
 from kinedex.ops.wording import name_list
 from kinedex.ops.words import ALL_KNOWN
 from kinedex.pipelines.annotation.methods import (
@@ -58,7 +60,7 @@ class NumericMethod(AnnotationMethod):
 
     @classmethod
     def fit(cls, examples: Motions[LabelledMotion], unlabelled: Motions[Motion], setting: Setting) -> NumericMethod:
-        """Learn the subclasses from examples; short ones, and those with unknown joints, are left out.
+        """Learn the subclasses from examples; those that are short, or lack a heading or a size, are left out.
 
         The mirror image of an example is a further example of the mirrored subclass: the one that the setting names, or
         else the one whose name has left for right, if it is another and has examples.
@@ -72,13 +74,14 @@ class NumericMethod(AnnotationMethod):
         shown = [one for one in examples if one.positive and one.label in known]
         own = {one.label for one in shown if not one.mirrored}
         shown = [one for one in shown if not (one.mirrored and one.label in own)]
-        used = [one for one in shown if _is_usable(one)]
+        used = [one for one in shown if _is_usable(one, setting)]
         if not used:
             raise KinedexError(
-                f"no example has {LEAST_FRAMES} frames or more in which all joints are known, as `method: numeric` "
-                f"needs: {name_list([_named(one) for one in shown])}; learn from other clips, or use `method: best`"
+                f"no example has {LEAST_FRAMES} frames or more with the root, a pair of hips or shoulders and a whole "
+                f"leg, as `method: numeric` needs: {name_list([_named(one) for one in shown])}; learn from other "
+                "clips, or use `method: best`"
             )
-        motions = [TaughtMotion(one.positions, one.label) for one in used]
+        motions = [TaughtMotion(one.positions, one.label, one.take) for one in used]
         background = unlabelled.once(_whole_motions)
         mirror = {name: mirrored_class(name, known) for name in own} | dict(setting.mirror)
         mirror = {name: other for name, other in mirror.items() if name != other or name in setting.mirror}
@@ -87,7 +90,11 @@ class NumericMethod(AnnotationMethod):
         except ParameterError as fault:
             raise KinedexError(f"the examples cannot teach `method: numeric`: {fault}") from fault
         places = tuple(setting.subclasses.index(name) for name in taught.classes)
-        return cls(taught, places, setting.class_index, tuple(_remarks(shown, used)))
+        return cls(taught, places, setting.class_index, (*_remarks(shown, used), *taught.remarks))
+
+    def restricted(self, known: int, templates: Sequence[QuantisedTemplate], chosen: I64) -> NumericMethod:
+        """Return the method for takes that lack joints, which is the same; see `AnnotationMethod`."""
+        return self
 
     def annotate(self, takes: Takes) -> list[list[Segment]]:
         """Label takes one by one; a span that lies mostly outside the ranges of its subclass gets no label."""
@@ -96,6 +103,9 @@ class NumericMethod(AnnotationMethod):
             try:
                 found.append(self._segments(take))
             except ParameterError as fault:
+                if not np.isfinite(take.positions).any(axis=(0, 2)).all():  # a remark says which bodies have no label
+                    found.append([])
+                    continue
                 take_id = int(takes.words.take_ids[index])
                 raise KinedexError(
                     f"the take with take_id {take_id} cannot be labelled by `method: numeric`: {fault}; leave it out "
@@ -140,8 +150,15 @@ def _whole_motions(takes: Sequence[Motion]) -> list[F64]:
     ]
 
 
-def _is_usable(one: LabelledMotion) -> bool:
-    return len(one.positions) >= LEAST_FRAMES and bool(np.isfinite(one.positions).all())
+def _is_usable(one: LabelledMotion, setting: Setting) -> bool:
+    """Return whether an example is long enough, and has a heading and a size."""
+    if len(one.positions) < LEAST_FRAMES or not np.isfinite(one.positions[:, 0]).all():
+        return False
+    try:
+        channels(one.positions, setting.joints, setting.rate_hz)
+    except ParameterError:
+        return False
+    return True
 
 
 def _named(one: LabelledMotion) -> str:
@@ -149,12 +166,13 @@ def _named(one: LabelledMotion) -> str:
 
 
 def _remarks(shown: Sequence[LabelledMotion], used: Sequence[LabelledMotion]) -> Iterator[str]:
-    """Yield remarks on examples that are not used, and on too few takes."""
-    gone = [_named(one) for one in shown if not _is_usable(one)]
+    """Yield remarks on examples that are not used."""
+    gone = [_named(one) for one in shown if not any(one is other for other in used)]
     if gone:
-        yield f"examples with fewer than {LEAST_FRAMES} frames or unknown joints, left out: {name_list(gone)}"
+        yield (
+            f"examples with fewer than {LEAST_FRAMES} frames, or too few joints for a heading and a size, left out: "
+            f"{name_list(gone)}"
+        )
     lost = sorted({one.label for one in shown} - {one.label for one in used})
     if lost:
         yield f"classes that are left without an example, which nothing can be labelled with: {name_list(lost)}"
-    if len({one.take for one in used}) == 1:
-        yield f"all examples are of one take, {used[0].take}, so that probabilities are not calibrated"
