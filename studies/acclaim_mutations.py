@@ -35,11 +35,16 @@ class AcclaimMutation:
     knowable: bool = True
 
 
-def acclaim_files(data: Path) -> list[AcclaimText]:
-    """Read the motions of a folder of real data that are there, cut to `FRAMES` frames."""
+def acclaim_files(data: Path, apart: bool = False) -> list[AcclaimText]:
+    """Read motions of a folder of real data, cut to `FRAMES`: those named here, or one for each other skeleton."""
+    named = [(next(iter(sorted(data.glob(motion))), None), data / skeleton) for motion, skeleton in _PAIRS]
+    used = {skeleton.name for _, skeleton in named}
+    pairs = named
+    if apart:
+        others = sorted(path for path in data.rglob("*.asf") if path.name not in used)
+        pairs = [(next(iter(sorted(path.parent.rglob(f"{path.stem}_*.amc"))), None), path) for path in others]
     found = []
-    for motion, skeleton in _PAIRS:
-        amc, asf = next(iter(sorted(data.glob(motion))), None), data / skeleton
+    for amc, asf in pairs:
         if amc is not None and asf.is_file():
             cut = re.split(r"(?m)^(?=\d+\s*$)", amc.read_text(encoding="latin-1"))[: FRAMES + 1]
             found.append(AcclaimText(amc.name, asf.name, "".join(cut), asf.read_text(encoding="latin-1")))

@@ -137,6 +137,17 @@ def words_differing(body: Body, control: Body) -> float:
     return float(np.mean(a != b)) if len(a) == len(b) else 1.0
 
 
+def control_of(path: Path, name: str, given: argparse.Namespace, reader: Callable[[Path], Body] = read) -> Body | None:
+    """Read an unchanged file; None, with a line that says so, if it is refused and not one of those named here."""
+    try:
+        return reader(path)
+    except KinedexError as fault:
+        if not given.apart:
+            raise
+        print(f"not read at all: {name}: {str(fault).removeprefix(f'{path}: ')[:160]}")
+        return None
+
+
 Trial = tuple[str, str, str, Outcome]
 """Format, mutation, what it changed in which recording, and the outcome."""
 
@@ -148,7 +159,9 @@ def trials(found: list[Recording], form: str, given: argparse.Namespace) -> Iter
         for recording in found:
             random = np.random.default_rng([given.seed, sum(recording.name.encode()), sum(form.encode())])
             FORMS[form].write(path, recording)
-            control = read(path)
+            control = control_of(path, recording.name, given)
+            if control is None:
+                continue
             for mutation in drawn(point_mutations(recording, form, random), given.trials, random):
                 FORMS[form].write(path, mutation.recording)
                 what = f"{recording.name}: {mutation.what}"
@@ -162,7 +175,9 @@ def bvh_trials(found: list[BvhText], given: argparse.Namespace) -> Iterator[Tria
         for file in found:
             random = np.random.default_rng([given.seed, sum(file.name.encode())])
             write(path, file)
-            control = read(path)
+            control = control_of(path, file.name, given)
+            if control is None:
+                continue
             for mutation in drawn(bvh_mutations(file), given.trials, random):
                 write(path, mutation.file)
                 yield "BVH", mutation.name, f"{file.name}: {mutation.what}", judged(path, control, mutation.knowable)
@@ -177,7 +192,9 @@ def acclaim_trials(found: list[AcclaimText], given: argparse.Namespace) -> Itera
         folder = Path(name)
         for file in found:
             random = np.random.default_rng([given.seed, sum(file.name.encode())])
-            control = read_beside(write_acclaim(folder, file))
+            control = control_of(write_acclaim(folder, file), file.name, given, read_beside)
+            if control is None:
+                continue
             for mutation in drawn(acclaim_mutations(file, found), given.trials, random):
                 path = write_acclaim(folder, mutation.file)
                 what = f"{file.name}: {mutation.what}"
@@ -193,19 +210,34 @@ def stored_skeleton_trials(found: list[AcclaimText], given: argparse.Namespace) 
 
 def scene_trials(data: Path, form: str, given: argparse.Namespace) -> Iterator[Trial]:
     """Yield the trials of glTF or FBX files."""
-    bvh = bvh_files(data)
-    found = gltf_files(bvh, read) if form == "glTF" else fbx_files(data, bvh, read)
+    bvh = bvh_files(data, given.apart)
+    if given.apart:
+        bvh = [file for file in bvh if is_read(file)]
+    found = gltf_files(bvh, read) if form == "glTF" else fbx_files(data, bvh, read, given.apart)
     with tempfile.TemporaryDirectory() as folder:
         for file in found:
             path = Path(folder) / f"take{file.ending}"
             random = np.random.default_rng([given.seed, sum(file.name.encode())])
             file.write(path)
-            control = read(path)
+            control = control_of(path, file.name, given)
+            if control is None:
+                continue
             for mutation in drawn(scene_mutations(file, control, JOINTS, random), given.trials, random):
                 mutation.file.write(path)
                 right = replace(control, positions=mutation.size * control.positions)
                 what = f"{file.name}: {mutation.what}"
                 yield form, mutation.name, what, judged(path, right, mutation.knowable)
+
+
+def is_read(file: BvhText) -> bool:
+    """Return whether a BVH file is read at all."""
+    with tempfile.TemporaryDirectory() as folder:
+        write(Path(folder) / "take.bvh", file)
+        try:
+            read(Path(folder) / "take.bvh")
+        except KinedexError:
+            return False
+    return True
 
 
 def drawn(found: Iterable[AnyMutation], most: int | None, random: np.random.Generator) -> Iterator[AnyMutation]:
@@ -227,15 +259,18 @@ def main() -> int:
     parser.add_argument("--hold", action="append", choices=[*FORMS, *SKELETONS], help="only files of this format")
     parser.add_argument("--trials", type=int, help="most trials of a mutation on a recording; all by default")
     parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument(
+        "--apart", action="store_true", help="the other recordings of DATA, with none of which limits were set"
+    )
     parser.add_argument("--show", nargs="*", default=["silent"], choices=OUTCOMES, help="outcomes to list one by one")
     given = parser.parse_args()
     counts: dict[tuple[str, str], Counter[str]] = defaultdict(Counter)
     shown = []
-    found = recordings(given.data)
+    found = recordings(given.data, given.apart)
     forms = given.hold or [*FORMS, *SKELETONS]
     of_points = (trial for form in forms if form in FORMS for trial in trials(found, form, given))
-    of_skeletons = bvh_trials(bvh_files(given.data), given) if "BVH" in forms else ()
-    acclaim = acclaim_files(given.data) if "AMC" in forms else []
+    of_skeletons = bvh_trials(bvh_files(given.data, given.apart), given) if "BVH" in forms else ()
+    acclaim = acclaim_files(given.data, given.apart) if "AMC" in forms else []
     of_acclaim = chain(acclaim_trials(acclaim, given), stored_skeleton_trials(acclaim, given))
     of_scenes = (trial for form in ("glTF", "FBX") if form in forms for trial in scene_trials(given.data, form, given))
     for form, mutation, what, outcome in chain(of_points, of_skeletons, of_acclaim, of_scenes):

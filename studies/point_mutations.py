@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable, Iterator, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -150,17 +151,31 @@ _NAMED = ("c3d/HDM_bd_05-01_01_120.c3d", "c3d/BTS.c3d", "c3d/Qualisys.c3d", "c3d
 """Recordings that are read rightly."""
 
 
-def recordings(data: Path) -> list[Recording]:
-    """Read the recordings of a folder of real data that are there, and cut each to a few frames."""
+def recordings(data: Path, apart: bool = False) -> list[Recording]:
+    """Read recordings of a folder of real data, and cut each to a few frames.
+
+    Parameters
+    ----------
+    data : Path
+        The folder.
+    apart : bool, optional
+        False for those that are named here, True for all others that are read as C3D or TRC files.
+    """
+    named = {data / name for name in _NAMED}
+    if not apart:
+        found = [_recording(path.name, _points(path)) for path in (data / name for name in _NAMED) if path.is_file()]
+        if not found:
+            raise KinedexError(f"{data} has none of {', '.join(_NAMED)}")
+        return found
     found = []
-    for name in _NAMED:
-        path = data / name
-        if path.is_file():
-            points = parse_c3d(path) if path.suffix == ".c3d" else parse_trc(path)
-            found.append(_recording(path.name, points))
-    if not found:
-        raise KinedexError(f"{data} has none of {', '.join(_NAMED)}")
+    for path in sorted({*data.rglob("*.c3d"), *data.rglob("*.trc")} - named):
+        with suppress(KinedexError):
+            found.append(_recording(path.name, _points(path)))
     return found
+
+
+def _points(path: Path) -> Points:
+    return parse_c3d(path) if path.suffix == ".c3d" else parse_trc(path)
 
 
 def _recording(name: str, points: Points) -> Recording:

@@ -134,13 +134,13 @@ def gltf_files(bvh: list[BvhText], read: Callable[[Path], Body]) -> list[GltfSce
     return made if joints is None else [*made, _exported(bvh[0].name, joints)]
 
 
-def fbx_files(data: Path, bvh: list[BvhText], read: Callable[[Path], Body]) -> list[FbxScene]:
-    """Return BVH files as binary files and text, and a file of real data if it is there."""
+def fbx_files(data: Path, bvh: list[BvhText], read: Callable[[Path], Body], apart: bool = False) -> list[FbxScene]:
+    """Return BVH files as binary files and text, and a file of real data if it is there and not kept apart."""
     made = [
         fbx_of(_cut(file), _unit_m(_body(file, read)), RATE_HZ, as_text=i % 3 == 2, bound=i % 2 == 0)
         for i, file in enumerate(bvh)
     ]
-    return [*made, parse_fbx(data / _FBX)] if (data / _FBX).is_file() else made
+    return [*made, parse_fbx(data / _FBX)] if (data / _FBX).is_file() and not apart else made
 
 
 def _cut(file: BvhText) -> BvhText:

@@ -15,6 +15,9 @@ from studies.wild_variants import euler_angles
 FRAMES = 240
 """Most frames of a recording."""
 
+LEAST_FRAMES = 10
+"""Least frames of a recording that is kept apart."""
+
 _FILES = ("cmu/same_take_amc_and_bvh/01_01.bvh", "wild/pybvh/bvh_test2.bvh", "wild/pybvh/bvh_test3.bvh",
           "wild/video2bvh/cxk.bvh", "wild/npybvh/example.bvh", "wild/makehuman/zombieWalk1.bvh")  # fmt: skip
 """BVH files that are read rightly, and one file of Bandai beside them."""
@@ -119,10 +122,14 @@ def write(path: Path, made: BvhText) -> None:
     path.write_text("\n".join(lines) + "\n", encoding="latin-1")
 
 
-def bvh_files(data: Path) -> list[BvhText]:
-    """Read the files of a folder of real data that are there."""
-    bandai = sorted((data / "bandai").rglob("*.bvh"))[:1]
-    return [parse(path) for path in [*(data / name for name in _FILES), *bandai] if path.is_file()]
+def bvh_files(data: Path, apart: bool = False) -> list[BvhText]:
+    """Read files of a folder of real data that are there: those named here, or all others but for most of Bandai's."""
+    named, bandai = [data / name for name in _FILES], sorted((data / "bandai").rglob("*.bvh"))
+    if apart:
+        others = {*data.rglob("*.bvh")} - {*named, *bandai}
+        parsed = {path.name: parse(path) for path in [*sorted(others), *bandai[-1:]]}
+        return [file for file in parsed.values() if len(file.values) >= LEAST_FRAMES]
+    return [parse(path) for path in [*named, *bandai[:1]] if path.is_file()]
 
 
 def _with(made: BvhText, node: int, **changes: object) -> BvhText:
