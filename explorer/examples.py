@@ -41,10 +41,11 @@ from kinedex.ops.templates.templates import QuantisedTemplate, quantise
 from kinedex.ops.words import ALL_KNOWN, TakeWords, bits
 from kinedex.pipelines.keyframes.slice_search import stored_words
 from kinedex.pipelines.labels.decisions import record_decisions
-from kinedex.pipelines.templates.chosen_intervals import ChosenTemplate, template_of_chosen
+from kinedex.pipelines.templates.chosen_intervals import ChosenTemplate, label_of, template_of_chosen
+from kinedex.pipelines.templates.example_ranking import TAU, rank_by_examples
 from kinedex.pipelines.templates.ranked_hits import RankedTemplate
 from kinedex.pipelines.templates.ranking import mirrored_template
-from kinedex.pipelines.templates.store_ranking import DELTA, TAU, TOP, RankingQuestion, rank_store
+from kinedex.pipelines.templates.store_ranking import DELTA, TOP, RankingQuestion
 from kinedex.storage.snapshot.schemas import hits_of
 from kinedex.storage.store.store import Store
 
@@ -95,7 +96,9 @@ def find_similar(archive: Archive, asked: ExamplesRequest, _request: Request) ->
     made = _template(store, asked)
     mirror = asked.mirror and bool(store.feature_set.mirror)
     condition = take_condition(store, asked)
-    found = rank_store(store, [made.named], RankingQuestion(asked.delta, asked.tau, asked.top, condition, mirror, 1))
+    positives, negatives = ([one.hit(store) for one in side] for side in (asked.positives, asked.negatives))
+    question = RankingQuestion(asked.delta, asked.tau, asked.top, condition, mirror, 1)
+    found = rank_by_examples(store, made.named, positives, question, negatives)
     (ranking,) = found.rankings
     weights = () if made.weights is None else zip(_features(store), made.weights.tolist(), strict=True)
     return {
@@ -112,7 +115,7 @@ def find_similar(archive: Archive, asked: ExamplesRequest, _request: Request) ->
         },
         "remarks": [*made.remarks, *found.remarks, *found.misses(asked.tau, "a τ of ")],
         "version": store.manifest.version,
-        **_same(archive, store, asked, made, condition),
+        **_same(archive, store, asked, condition),
     }
 
 
@@ -131,31 +134,27 @@ def _features(store: Store) -> list[str]:
     return [feature.name for feature in store.feature_set.features]
 
 
-def _same(
-    archive: Archive, store: Store, asked: ExamplesRequest, made: ChosenTemplate, condition: str | None
-) -> dict[str, str]:
+def _same(archive: Archive, store: Store, asked: ExamplesRequest, condition: str | None) -> dict[str, str]:
     """Return the command and the Python lines of a search by example."""
     options = [*(["--mirror"] if asked.mirror else []), "--tau", f"{asked.tau:g}", "--top", str(asked.top)]
     options += ["--where", condition] if condition is not None else []
     more = f"tau={asked.tau:g}, top={asked.top}" + (f", where={condition!r}" if condition is not None else "")
     more += ", mirror=True" if asked.mirror else ""
-    positives = [one.hit(store) for one in asked.positives]
-    if made.weights is None and len(positives) == 1 and not positives[0].mirrored:
+    positives, negatives = ([one.hit(store) for one in side] for side in (asked.positives, asked.negatives))
+    unlike = [label_of(one) for one in negatives]
+    rejected = f"rejected={unlike!r}, " if unlike else ""
+    for one in unlike:
+        options += ["--unlike", one]
+    if len(positives) == 1 and not positives[0].mirrored:
         take, start, stop = positives[0].interval
         interval = ["--take", take, "--start", str(start), "--stop", str(stop)]
-        line = f"example = kinedex.Template.from_clip(store[{take!r}], {start}, {stop})"
-        return {
-            "command": command_line("kinedex", "rank", archive.path, *interval, *options),
-            "python": python_lines(archive.path, line, f"store.rank(example, {more})"),
-        }
-    file = f"{asked.name}.yaml"  # which `POST /api/ask/template` answers with
-    lines = [f"store.rank(kinedex.Template.load({file!r}), {more})"]
-    if made.weights is None and not any(one.mirrored for one in positives):
-        clips = ", ".join(f"store[{take!r}][{start}:{stop}]" for (take, start, stop), *_ in positives)
-        lines = [f"example = kinedex.Template.learn([{clips}], name={asked.name!r})", f"store.rank(example, {more})"]
+        asking = f"store.similar({take!r}, {start}, {stop}, {rejected}{more})"
+    else:
+        interval = [word for one in positives for word in ("--like", label_of(one))]
+        asking = f"store.similar({[label_of(one) for one in positives]!r}, {rejected}{more})"
     return {
-        "command": command_line("kinedex", "rank", archive.path, file, *options),
-        "python": python_lines(archive.path, *lines),
+        "command": command_line("kinedex", "rank", archive.path, *interval, *options),
+        "python": python_lines(archive.path, asking),
     }
 
 

@@ -1,7 +1,8 @@
 """Define the form of hits in the answers of all searches, and label hits.
 
-{take_id, take, start, stop, cost: number or null, mirrored, name}: the frames [start, stop) of a take, their cost,
-whether they match the mirror image, and the name of the template or query that found them.
+{take_id, take, start, stop, cost: number or null, mirrored, similarity: number or null, probable: boolean or null,
+name}: the frames [start, stop) of a take, their cost, whether they match the mirror image, their similarity to the
+examples of a search, and the name of the template or query that found them.
 
 `POST /api/ask/labelled` {hits: [interval]} → {labels: [[{class, verdict, share}]]}: for each interval the labels of
  people that overlap it by at least half of the shorter of the two.
@@ -107,6 +108,8 @@ def shown_hits(store: Store, hits: Iterable[Hit]) -> list[dict[str, Any]]:
             **one.interval._asdict(),
             "cost": one.cost,
             "mirrored": one.mirrored,
+            "similarity": one.similarity,
+            "probable": one.probable,
             "name": one.name,
         }
         for one in hits

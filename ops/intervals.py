@@ -53,12 +53,18 @@ class Hit(NamedTuple):
         The distance from the template; None for a query, which has no distances.
     mirrored : bool
         True if the interval matches the mirror image of the template.
+    similarity : float, optional
+        The similarity to the examples of a search; None if it was not compared with any.
+    probable : bool, optional
+        True if it differs from the examples little more than similar intervals differ; None if it was not compared.
     """
 
     interval: Interval
     name: str = ""
     cost: float | None = None
     mirrored: bool = False
+    similarity: float | None = None
+    probable: bool | None = None
 
 
 @dataclass(frozen=True)

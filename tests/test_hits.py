@@ -87,6 +87,8 @@ def test_a_row_a_hit_and_an_answer_of_the_explorer_say_the_same(
                 **{key: row[key] for key in PLACE[:4]},
                 "cost": row.get("cost"),
                 "mirrored": row.get("mirrored", False),
+                "similarity": None,
+                "probable": None,
                 "name": row[named],
             }
     seconds = np.array(ranked.column("start").to_pylist()) / store.rate_hz

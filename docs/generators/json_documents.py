@@ -69,7 +69,8 @@ DOCUMENTS: dict[str, dict[str, str]] = {
         "frames": "frames of the takes ranked",
         "seconds": "time of the ranking",
         "remarks": "templates that were excluded, or ranked in all frames for want of a query",
-        "hits": "rows of the view `ranked_hits`; with `--mirror` also `mirrored`",
+        "hits": "rows of the view `ranked_hits`; with `--mirror` also `mirrored`, by example also `similarity` and "
+        "`probable`",
         "nearest": "such rows of the nearest places of templates without a hit",
     },
     **{

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, cast
 
@@ -25,15 +25,18 @@ from kinedex.commands.options import (
 from kinedex.commands.output import print_json, print_message, print_path, show_table
 from kinedex.commands.pages import HitsOutput, Pages
 from kinedex.ops.errors import KinedexError
+from kinedex.ops.intervals import Hit, Interval
 from kinedex.ops.wording import visible
 
 if TYPE_CHECKING:
     from kinedex.ops.templates.templates import Kind
-    from kinedex.pipelines.templates.ranked_hits import Ranking
     from kinedex.pipelines.templates.store_ranking import StoreRanking
 
 
 template = group("template", "Show, compare and make motion templates.", ASK)
+
+EXAMPLE = "example"
+"""The name of the template of several examples."""
 
 NEAREST = 5
 """Number of nearest intervals that are shown for a template without a hit."""
@@ -46,6 +49,14 @@ DeltaOption = Annotated[
     float, typer.Option(min=0, max=0.4999, help="Template values within δ of 0 or 1 count, others are wildcards.")
 ]
 ExampleOption = Annotated[str | None, typer.Option(help="Rank by an example: a take, or an interval of it.")]
+LikeOption = Annotated[
+    list[str] | None,
+    typer.Option("--like", metavar="INTERVAL", help="Rank by an example, 'TAKE[45:90]'; several show one motion."),
+]
+UnlikeOption = Annotated[
+    list[str] | None,
+    typer.Option("--unlike", metavar="INTERVAL", help="An interval that does not show the motion of the examples."),
+]
 QueriesOption = Annotated[
     str | None,
     typer.Option(
@@ -67,8 +78,13 @@ def rank(
     take: ExampleOption = None,
     start: Annotated[str | None, typer.Option(help="First frame of the example (45), or seconds (1.5s).")] = None,
     stop: Annotated[str | None, typer.Option(help="Frame after its last, or seconds.")] = None,
+    like: LikeOption = None,
+    unlike: UnlikeOption = None,
     top: Annotated[int, typer.Option(min=1, help="Largest number of hits of a template.")] = 20,
-    tau: Annotated[float, typer.Option(min=1e-6, max=1, help="Threshold: distances below it are hits.")] = 0.1,
+    tau: Annotated[
+        float | None,
+        typer.Option(min=1e-6, max=1, help="Threshold: distances below it are hits; 0.1, or 0.5 by example."),
+    ] = None,
     delta: DeltaOption = 0.1,
     kind: KindOption = "soft",
     stage: StageOption = None,
@@ -81,12 +97,15 @@ def rank(
     at: AtOption = None,
     as_json: JsonOption = False,
 ) -> None:
-    """Rank the intervals of an archive by how well templates fit."""
-    from kinedex.pipelines.templates.store_ranking import RankingQuestion, rank_store
-    from kinedex.pipelines.templates.stored_templates import clip_range, template_from_clip
+    """Rank the intervals of an archive by how well templates fit, or by their similarity to an example."""
+    from kinedex.pipelines.templates.chosen_intervals import hit_of, template_of_chosen
+    from kinedex.pipelines.templates.example_ranking import TAU as EXAMPLE_TAU
+    from kinedex.pipelines.templates.example_ranking import rank_by_examples
+    from kinedex.pipelines.templates.store_ranking import TAU, RankingQuestion, rank_store
+    from kinedex.pipelines.templates.stored_templates import clip_range
 
     names = list(dict.fromkeys(templates or ()))
-    _check_source(names, every, take, start, stop)
+    _check_source(names, every, take, like, (start, stop), unlike)
     output.check()
     opened = open_for_reading(store, at)
     asked = None
@@ -94,13 +113,21 @@ def rank(
         from kinedex.catalog.queries.query_reader import read_queries
 
         asked = read_queries(queries, opened.feature_set, opened.rate_hz)
-    chosen = None if every else names if take is None else [template_from_clip(opened, take, start, stop)]
     begin = time.perf_counter()
+    examples = [hit_of(one, opened) for one in like or ()]
+    if take is not None:
+        examples = [Hit(Interval(take, *clip_range(opened, take, start, stop))), *examples]
+    tau = tau or (EXAMPLE_TAU if examples else TAU)
     question = RankingQuestion(delta, tau, top, where, mirror, min(top, NEAREST), workers)
-    found = rank_store(opened, chosen, question, queries=asked, kind=_kind_of(kind), stage=stage)
+    if examples:
+        others = [hit_of(one, opened) for one in unlike or ()]
+        made = template_of_chosen(opened, take or EXAMPLE, examples, others, delta)
+        found = rank_by_examples(opened, made.named, examples, question, others, asked)
+        found = replace(found, remarks=(*made.remarks, *found.remarks))
+    else:
+        found = rank_store(opened, None if every else names, question, queries=asked, kind=_kind_of(kind), stage=stage)
     seconds = time.perf_counter() - begin
-    example = None if take is None else (take, *clip_range(opened, take, start, stop))
-    output.write_ranking(opened, found, example, tau, kind, stage)
+    output.write_ranking(opened, found, examples[0].interval if examples else None, tau, kind, stage)
     if as_json:
         document = {"store": store, "templates": [one.name for one in found.rankings], "tau": tau, "delta": delta}
         document |= {"frames": found.rankings[0].frames, "seconds": seconds, "remarks": found.remarks}
@@ -110,7 +137,7 @@ def rank(
     for remark in (*found.remarks, *found.misses(tau)):
         typer.echo(remark, err=True)
     if output.is_plain:
-        _show_hits(found, tau, _summary(found.rankings, tau, top, queries is not None, seconds))
+        _show_hits(found, tau, _summary(found, tau, top, queries is not None, seconds))
     elif not output.picture:
         output.show(found.table())
     if output.output is not None:
@@ -128,33 +155,47 @@ def _show_hits(found: StoreRanking, tau: float, summary: str) -> None:
     print_message(summary)
 
 
-def _check_source(names: list[str], every: bool, take: str | None, start: str | None, stop: str | None) -> None:
-    """Raise an error unless exactly one source of templates is given."""
-    sources = [text for text, given in (("TEMPLATE", names), ("--all", every), ("--take", take is not None)) if given]
+def _check_source(
+    names: list[str],
+    every: bool,
+    take: str | None,
+    like: list[str] | None,
+    frames: tuple[str | None, str | None],
+    unlike: list[str] | None,
+) -> None:
+    """Raise an error unless exactly one source of templates is given, with options that belong to it."""
+    by_example = take is not None or like
+    given = (("TEMPLATE", names), ("--all", every), ("--take or --like", by_example))
+    sources = [text for text, present in given if present]
     if len(sources) > 1:
         raise KinedexError(
             f"{' and '.join(sources)} exclude each other: rank by the names of templates, by --all, or by an example"
         )
     if not sources:
         raise KinedexError("rank by the names of TEMPLATES, by --all, or by an example: --take NAME --start … --stop …")
-    if take is None and (start is not None or stop is not None):
+    if take is None and frames != (None, None):
         raise KinedexError("--start and --stop need --take: they are the interval of the example in a take")
+    if unlike and not by_example:
+        raise KinedexError("--unlike needs an example: --take NAME --start … --stop …, or --like 'NAME[45:90]'")
 
 
-def _summary(rankings: Sequence[Ranking], tau: float, top: int, preselected: bool, seconds: float) -> str:
-    """Return the line below the table, with hits, frames, the shares that were not searched, and the time.
+def _summary(found: StoreRanking, tau: float, top: int, preselected: bool, seconds: float) -> str:
+    """Return the line below the table, with hits, frames, the fractions that were not searched, and the time.
 
     If a template has as many hits as were requested, the line adds that there may be more.
     """
     from kinedex.ops.wording import counted
 
+    rankings = found.rankings
     kept = sum(one.searched for one in rankings) / max(sum(one.frames for one in rankings), 1)
     shares = [one.skipped for one in rankings if one.skipped is not None]
     limited = any(len(one) == top for one in rankings)
+    probable = sum(one.hits.column("probable").to_pylist().count(True) for one in rankings) if found.compared else 0
     hits = counted(sum(len(one) for one in rankings), "best hit" if limited else "hit")
     return (
         f"{hits} below {tau:g}"
         + (f", as --top {top} asks for" if limited else "")
+        + (f", {probable} of them probable" if found.compared else "")
         + (f" by {len(rankings)} templates" if len(rankings) > 1 else "")
         + f"; {rankings[0].frames:,} frames"
         + (f", {kept:.1%} of them within keyframe hits" if preselected else "")

@@ -9,7 +9,9 @@ from typing import TYPE_CHECKING, Literal
 
 from kinedex.library.take import Take
 from kinedex.library.take_collection import TakeCollection
+from kinedex.ops.arrays import F64
 from kinedex.ops.errors import ParameterError
+from kinedex.ops.intervals import Hit, Interval
 from kinedex.storage.store.store import data_frame
 
 if TYPE_CHECKING:
@@ -304,10 +306,7 @@ class TakeSearch(TakeCollection):
         from kinedex.library.template import Template
         from kinedex.pipelines.templates.store_ranking import RankingQuestion, rank_store
 
-        if top is not None and top < 1:
-            raise ParameterError("top", "at least 1, or None", top)
-        if not tau > 0:
-            raise ParameterError("tau", "above 0", tau)
+        _check_ranking(top, tau)
         wanted = [template] if isinstance(template, Template | str) else list(template)
         found = rank_store(
             self.stored,
@@ -321,45 +320,62 @@ class TakeSearch(TakeCollection):
 
     def similar(
         self,
-        take: str | int | Take,
+        take: str | int | Take | Sequence[str],
         start: int | str | None = None,
         stop: int | str | None = None,
         top: int | None = 20,
         *,
-        tau: float = 0.1,
+        rejected: Sequence[str] = (),
+        tau: float = 0.5,
         delta: float = 0.1,
         where: str | None = None,
         workers: int | None = None,
+        mirror: bool = False,
     ) -> pl.DataFrame:
-        """Rank intervals of the takes by their similarity to an example.
+        """Rank intervals of the takes by their similarity to an example, or to several of the same motion.
+
+        Words find the candidates, as in `rank`, and numbers such as poses, speeds and turns order them.
 
         Parameters
         ----------
-        take : str, int or Take
+        take : str, int, Take, or a sequence of str
             The take that is the example or contains it. A `Take` need not be in a store; start and stop then count the
-            frames of the `Take`.
+            frames of the `Take`. Several examples are given by the names of intervals of the store, such as
+            ``["walk_1[30:75]", "mirror of walk_2[10:52]"]``.
         start, stop : int or str, optional
             The frames of the example within the take, ``45`` or ``"1.5s"``, stop excluded; by default the whole take.
         top : int, optional
             The largest number of hits; None returns all.
+        rejected : sequence of str, optional
+            Names of intervals that do not show the motion. Hits that are more similar to one of these come last.
         tau : float, optional
-            An interval is a hit if its distance is below tau.
+            An interval is a candidate if its distance is below tau.
         delta : float, optional
             Entries of the template within delta of 0 or 1 count; the others are wildcards.
         where : str, optional
             A SQL filter over the columns of takes.
         workers : int, optional
             The number of threads; by default the number of cores. The hits do not depend on it.
+        mirror : bool, optional
+            True also finds the mirror images of the motion.
 
         Returns
         -------
         polars.DataFrame
-            One row per hit as for `rank`, the best first; the example itself is a hit if its take is searched.
+            One row per hit as for `rank`, the most similar first, with two more columns: similarity, which is at most
+            1, and probable, which is true for hits that differ from the example little more than similar intervals of
+            the archive differ from each other. Both are null for takes that lack joints of the example, and beyond the
+            600 candidates of least cost; these hits come last. The example itself is a hit if its take is searched.
 
         Raises
         ------
         KinedexError
             There is no such take, or the interval is not within the take or has invalid frames in the middle.
+
+        Warns
+        -----
+        UserWarning
+            As for `rank`, or the example lacks joints, so that the hits are in the order of their costs.
 
         Examples
         --------
@@ -367,7 +383,39 @@ class TakeSearch(TakeCollection):
         0.0
         """
         from kinedex.library.template import Template
+        from kinedex.pipelines.templates.chosen_intervals import hit_of, template_of_chosen
+        from kinedex.pipelines.templates.example_ranking import rank_by_examples
+        from kinedex.pipelines.templates.store_ranking import RankingQuestion
+        from kinedex.pipelines.templates.stored_templates import clip_range, frame_range
 
-        whole = take if isinstance(take, Take) else self[take]
-        example = Template.from_clip(whole, start, stop)
-        return self.rank(example, top, tau=tau, delta=delta, where=where, workers=workers)
+        _check_ranking(top, tau)
+        stored, unlike = self.stored, [hit_of(one, self.stored) for one in rejected]
+        question = RankingQuestion(delta, tau, top, where, mirror, nearest=1, workers=workers)
+        examples: Sequence[Hit | F64]
+        if isinstance(take, Take):
+            first, last = frame_range(take.name, len(take), take.rate_hz, start, stop)
+            template = Template.from_clip(take, start, stop).named
+            examples = [take.positions[first:last].astype("float64")]
+        else:
+            if isinstance(take, str | int):
+                chosen = take if isinstance(take, str) else self[take].name
+                accepted = [Hit(Interval(chosen, *clip_range(stored, chosen, start, stop)))]
+            elif start is None and stop is None:
+                accepted = [hit_of(one, stored) for one in take]
+            else:
+                raise ParameterError("start and stop", "left out for several examples, whose names have frames", start)
+            name = accepted[0].interval.take if len(accepted) == 1 else "example"
+            template = template_of_chosen(stored, name, accepted, unlike, delta).named
+            examples = accepted
+        found = rank_by_examples(stored, template, examples, question, unlike)
+        for remark in (*found.remarks, *found.misses(tau, "tau=")):
+            warnings.warn(remark, stacklevel=2)
+        return data_frame(found.table()).drop("run")
+
+
+def _check_ranking(top: int | None, tau: float) -> None:
+    """Raise an error unless the number of hits and the threshold of a ranking are in range."""
+    if top is not None and top < 1:
+        raise ParameterError("top", "at least 1, or None", top)
+    if not tau > 0:
+        raise ParameterError("tau", "above 0", tau)

@@ -9,15 +9,19 @@ import numpy as np
 
 from kinedex.ops.arrays import F64
 from kinedex.ops.errors import KinedexError
-from kinedex.ops.intervals import Hit
+from kinedex.ops.intervals import Hit, Interval
 from kinedex.ops.templates.derived_templates import contrast_weights
 from kinedex.ops.templates.templates import NamedTemplate
 from kinedex.ops.words import ALL_KNOWN, U64
 from kinedex.pipelines.keyframes.slice_search import stored_words
+from kinedex.pipelines.templates.examples import interval_of
 from kinedex.pipelines.templates.store_ranking import DELTA
-from kinedex.pipelines.templates.stored_templates import frame_range, template_of_frames
+from kinedex.pipelines.templates.stored_templates import clip_range, frame_range, template_of_frames
 from kinedex.pipelines.templates.template_learning import learn_template, usable_clips
 from kinedex.storage.store.store import Store
+
+MIRROR_OF = "mirror of "
+"""The words before the name of an interval that is mirrored."""
 
 
 @dataclass(frozen=True)
@@ -114,7 +118,21 @@ def template_of_chosen(
 def label_of(one: Hit) -> str:
     """Return the name of a chosen interval, "take[start:stop]", with the prefix "mirror of " if it is mirrored."""
     take, start, stop = one.interval
-    return f"{'mirror of ' if one.mirrored else ''}{take}[{start}:{stop}]"
+    return f"{MIRROR_OF if one.mirrored else ''}{take}[{start}:{stop}]"
+
+
+def hit_of(text: str, store: Store) -> Hit:
+    """Return the interval that a name denotes, as `label_of` makes it; a name of a take denotes the whole take.
+
+    Raises
+    ------
+    KinedexError
+        There is no such take, or the frames are not within it.
+    """
+    mirrored = text.startswith(MIRROR_OF) and text not in store.take_ids
+    take, frames = interval_of(text.removeprefix(MIRROR_OF) if mirrored else text, store.take_ids)
+    start, stop = clip_range(store, take, frames.start, frames.stop)
+    return Hit(Interval(take, start, stop), mirrored=mirrored)
 
 
 class _Words:

@@ -10,7 +10,7 @@ import pyarrow as pa
 
 from kinedex.catalog.queries.keyframe_query import KeyframeQuery
 from kinedex.ops.templates.templates import QuantisedTemplate
-from kinedex.storage.snapshot.schemas import ranking_schema
+from kinedex.storage.snapshot.schemas import comparison_schema, ranking_schema
 
 
 @dataclass(frozen=True)
@@ -31,7 +31,7 @@ class Ranking:
     name : str
         The name of the template.
     hits : pyarrow.Table
-        The hits, the best first, with the columns of `ranking_schema`.
+        The hits, the best first, with the columns of `ranking_schema`, or of `comparison_schema` for examples.
     frames : int
         The number of frames of all takes.
     searched : int
@@ -79,7 +79,9 @@ def as_ranked(hits: pa.Table) -> pa.Table:
     return hits.set_column(column, hits.schema.field(column), ranks)
 
 
-def ranking_table(rankings: Iterable[Ranking], run: str = "", *, mirror: bool = False) -> pa.Table:
+def ranking_table(
+    rankings: Iterable[Ranking], run: str = "", *, mirror: bool = False, compared: bool = False
+) -> pa.Table:
     """Return hits as results of the kind `ranked_hits`, in the order of templates and ranks.
 
     Parameters
@@ -90,7 +92,10 @@ def ranking_table(rankings: Iterable[Ranking], run: str = "", *, mirror: bool = 
         The id of the run.
     mirror : bool
         True to keep the column `mirrored`, which is not stored.
+    compared : bool
+        True if the hits were compared with examples, and have the columns of `comparison_schema`.
     """
-    hits = pa.concat_tables([ranking_schema().empty_table(), *(one.hits for one in rankings)]).combine_chunks()
+    schema = comparison_schema() if compared else ranking_schema()
+    hits = pa.concat_tables([schema.empty_table(), *(one.hits for one in rankings)]).combine_chunks()
     table = hits.set_column(0, hits.schema.field(0), pa.repeat(run, hits.num_rows))
     return table if mirror else table.drop_columns(["mirrored"])

@@ -78,6 +78,8 @@ class StoreRanking:
         True if mirror images of the templates were searched as well.
     nearest : tuple of Ranking
         The best matches of templates without a hit, if they were requested.
+    compared : bool
+        True if hits were compared with examples, and are in the order of their similarity.
     """
 
     rankings: tuple[Ranking, ...]
@@ -85,10 +87,14 @@ class StoreRanking:
     remarks: tuple[str, ...] = ()
     mirror: bool = False
     nearest: tuple[Ranking, ...] = ()
+    compared: bool = False
 
     def table(self) -> pa.Table:
-        """Return the hits as results of the kind `ranked_hits`, with a column `mirrored` if images were searched."""
-        return ranking_table(self.rankings, mirror=self.mirror)
+        """Return the hits as results of the kind `ranked_hits`, with a column `mirrored` if images were searched.
+
+        Hits that were compared with examples also have the columns `similarity` and `probable`.
+        """
+        return ranking_table(self.rankings, mirror=self.mirror, compared=self.compared)
 
     def nearest_table(self) -> pa.Table:
         """Return the best matches of templates without a hit, in the same form."""

@@ -268,6 +268,11 @@ def ranking_schema() -> pa.Schema:
     return result_schema("ranked_hits").append(pa.field("mirrored", pa.bool_()))
 
 
+def comparison_schema() -> pa.Schema:
+    """Return the schema of hits that were compared with examples: that of ranked hits, with two more columns."""
+    return ranking_schema().append(pa.field("similarity", pa.float64())).append(pa.field("probable", pa.bool_()))
+
+
 def hits_table(
     schema: pa.Schema, takes: pa.Table, starts: npt.NDArray[np.int64], stops: npt.NDArray[np.int64], rate_hz: float,
     **columns: object,
@@ -304,14 +309,17 @@ def hits_of(table: pa.Table, named: str = "template") -> list[Hit]:
     Parameters
     ----------
     table : pyarrow.Table
-        Rows with the columns take, start and stop, and optionally cost and mirrored.
+        Rows with the columns take, start and stop, and optionally cost, mirrored, similarity and probable.
     named : str
         The column with the name of the template or query.
     """
     return [
-        Hit(Interval(row["take"], row["start"], row["stop"]), row[named], row.get("cost"), row.get("mirrored", False))
+        Hit(
+            Interval(row["take"], row["start"], row["stop"]), row[named], row.get("cost"), row.get("mirrored", False),
+            row.get("similarity"), row.get("probable"),
+        )
         for row in table.to_pylist()
-    ]
+    ]  # fmt: skip
 
 
 def result_table(kind: str, rows: Iterable[Mapping[str, Any]], run: str) -> pa.Table:

@@ -343,7 +343,9 @@ class Again:
         hits = found["hits"]
         rate = kinedex.open_store(self.other).rate_hz
         listed = [
-            f"{place}: {hit['cost']:.3f} {'mirror ' * hit['mirrored']}{hit['take']}, at {hit['start'] / rate:.1f} s"
+            f"{place}: {hit['similarity']:.2f} {'mirror ' * hit['mirrored']}{hit['take']}, at {hit['start'] / rate:.1f}"
+            + " s"
+            + ("" if hit["probable"] else ", probably another motion")
             for place, hit in enumerate(hits, 1)
         ]
         assert listed == [one.replace(" example, at ", ", at ") for one in shown]

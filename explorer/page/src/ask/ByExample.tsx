@@ -23,6 +23,7 @@ import {
   asked,
   type ExamplesAnswer,
   type ExamplesQuestion,
+  type Hit,
   type HitAnswer,
   type Interval,
   type Packed,
@@ -32,7 +33,7 @@ import {
 } from "./types";
 
 const NONE: Packed[] = [];
-const TAU = 0.1;
+const TAU = 0.5;
 const TOP = 60;
 const MOST = 500;
 
@@ -91,8 +92,8 @@ export function ByExample({ store }: { store: StoreFacts }) {
         {found !== undefined && (
           <>
             <Text size="sm" role="status" aria-live="polite">
-              {found.more ? `the ${found.total} best hits` : counted(found.total, "hit")} below {found.tau} in{" "}
-              {hours(found.hours)} <span className="muted">· {(1000 * found.seconds).toFixed(0)} ms</span>
+              {found.more ? `the ${found.total} most similar places` : counted(found.total, "place")} in {hours(found.hours)},{" "}
+              {probable(found.hits)} <span className="muted">· {(1000 * found.seconds).toFixed(0)} ms</span>
               {old && <span className="muted"> · searching…</span>}
             </Text>
             <SaveBar hits={found.hits} examples={question.positives} onRefine={refine} />
@@ -151,6 +152,12 @@ function useQuestion(): ExamplesQuestion | null {
       ...(filters.length === 0 ? {} : { filters }),
     };
   }, [take, from, to, more, less, tau, top, mirror, where, filters]);
+}
+
+/** Return how many of the hits probably show the motion, as text. */
+function probable(hits: readonly Hit[]): string {
+  const count = hits.filter((one) => one.probable === true).length;
+  return count === 0 ? "none of them probable" : `${count} of them probable`;
 }
 
 function bounded(text: string | null, least: number, most: number, absent: number): number {

@@ -39,6 +39,7 @@ export function Results({ hits, rateHz, old = false, explain, examples = NO_EXAM
   const labels = useLabels(hits);
   const at = Math.min(place, hits.length - 1);
   const chosen = hits[at];
+  const line = hits.findIndex((one) => one.probable === false);
 
   const go = useCallback((next: number) => {
     const cells = grid.current?.querySelectorAll<HTMLElement>(".hit");
@@ -96,7 +97,7 @@ export function Results({ hits, rateHz, old = false, explain, examples = NO_EXAM
       >
         {hits.map((hit, i) => {
           const mark = verdicts.of(hit);
-          return (
+          const cell = (
             <Cell
               key={keyOf(hit)}
               hit={hit}
@@ -112,6 +113,13 @@ export function Results({ hits, rateHz, old = false, explain, examples = NO_EXAM
               onPoint={explain === undefined ? undefined : point}
             />
           );
+          if (i !== line) return cell;
+          return [
+            <div key="line" className="hits-line muted" role="presentation">
+              probably other motions
+            </div>,
+            cell,
+          ];
         })}
         {pointed !== null && explain !== undefined && pointed.hit !== chosen && (
           <FitPreview key={keyOf(pointed.hit)} hit={pointed.hit} cell={pointed.cell} rateHz={rateHz} explain={explain} />
@@ -168,7 +176,7 @@ interface CellProps {
 
 const Cell = memo(function Cell(props: CellProps) {
   const { hit, place, rateHz, verdict, earlier, known = [], example, chosen, first, onChoose, onPoint } = props;
-  const number = hit.cost === null ? `${place + 1}` : hit.cost.toFixed(3);
+  const number = hit.similarity != null ? hit.similarity.toFixed(2) : hit.cost === null ? `${place + 1}` : hit.cost.toFixed(3);
   const marks = [
     hit.mirrored ? "mirror" : "",
     verdict === undefined ? "" : markText({ verdict }),
@@ -176,7 +184,8 @@ const Cell = memo(function Cell(props: CellProps) {
   ];
   // what a screen reader says holds what is shown, in this order
   const shown = [number, ...marks, hit.take, example ? "example" : ""].filter((one) => one !== "").join(" ");
-  const at = `at ${shownSeconds(hit.start, rateHz, 1)} s${earlier ? ", decided with other ends" : ""}`;
+  const other = hit.probable === false ? ", probably another motion" : "";
+  const at = `at ${shownSeconds(hit.start, rateHz, 1)} s${earlier ? ", decided with other ends" : ""}${other}`;
   return (
     <div
       className="hit"

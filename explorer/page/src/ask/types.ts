@@ -12,6 +12,9 @@ export interface Interval {
 export interface Hit extends Interval {
   take_id: number;
   cost: number | null;
+  /** The similarity to the examples, and whether the hit probably shows the same motion; null where unknown. */
+  similarity?: number | null;
+  probable?: boolean | null;
   name: string;
 }
 
