@@ -46,7 +46,13 @@ FROM found AS f ORDER BY f.kind, cause, f.source, f.take, f.message"""
 
 
 def cause_sql(message: str) -> str:
-    """Return the SQL expression for the cause of a message, given as an expression, too."""
+    """Return a SQL expression for the cause of a doubt, which is its message without details.
+
+    Parameters
+    ----------
+    message : str
+        A SQL expression for the message.
+    """
     cause = f"split_part({message}, chr(10), 1)"
     for pattern, text in _DETAILS:
         cause = f"regexp_replace({cause}, {_quoted(pattern)}, {_quoted(text)}, 'g')"

@@ -118,7 +118,7 @@ class Archive:
             self.events.publish("labels", {})
 
     def _newest_files(self) -> tuple[int, str]:
-        """Return the newest version and the newest index file; if either has changed, the store must be reopened.
+        """Return the newest version and the name of the newest index; the store must be reopened if either has changed.
 
         Raises
         ------

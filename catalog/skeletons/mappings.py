@@ -293,12 +293,14 @@ class Mappings:
         return f"; of {differ}, none is taken: write one figure a file"
 
     def names_in_order(self, source: str | Path, count: int) -> tuple[str, tuple[str, ...]]:
-        """Return the mapping whose `order` has as many points as a file without names, and the names in this order.
+        """Return the name of the mapping whose `order` has as many points as a file without names, and this order.
+
+        Mappings of the user take precedence over shipped ones.
 
         Raises
         ------
         SourceError
-            If no mapping has as many, or several have and give them different names.
+            If no mapping has as many, or several of the same precedence have and give them different names.
         """
         orders = {mapping.order: mapping.name for mapping in self.of("positions")[::-1] if mapping.order}
         own = {mapping.order for mapping in self.own.get("positions", ())}

@@ -321,7 +321,7 @@ def frames_along(across: F64, up: F64) -> F64:
     Parameters
     ----------
     across, up : float64 array (3, T)
-        Vectors of any length. If a vector is zero or both are parallel, the matrix is NaN.
+        Vectors of any length. If a vector is zero or both are parallel, some entries of the matrix are not finite.
     """
     with np.errstate(invalid="ignore", divide="ignore"):
         x = across / np.linalg.norm(across, axis=0)

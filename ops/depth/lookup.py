@@ -136,7 +136,7 @@ class Lookup:
     Raises
     ------
     ParameterError
-        There is no candidate, or fewer than five extrema.
+        There is no candidate, or the number of extrema is not from 5 to 20.
     """
 
     def __init__(self, index: PoseIndex, candidates: int = 3, among: int = 6) -> None:

@@ -122,7 +122,7 @@ class TrackerSettings:
 
 
 class Candidate(NamedTuple):
-    """A pose of the database that was tried in a frame.
+    """A pose of the database that the lookup proposed for a frame.
 
     Attributes
     ----------
@@ -131,9 +131,9 @@ class Candidate(NamedTuple):
     lookup_cost : float
         The cost of the pose in the lookup (thesis, Eq. 8.6).
     map : int
-        The map of `Proposals.maps` by which the pose was found.
+        The index in `Proposals.maps` of the map by which the pose was found.
     cost : float
-        The cost of the pose in the vote after the trial steps; NaN if it was not tried.
+        The cost of the pose in the vote after the trial steps; NaN for a single pose, which is not tried.
     ends : float
         The root mean square distance of the pose's end effectors from the extrema in metres.
     """

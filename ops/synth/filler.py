@@ -85,7 +85,7 @@ def swing_arms(score: Score) -> None:
 
 
 def step_aside(score: Score) -> None:
-    """Add the keyframes of a step sideways or backwards; the other foot follows."""
+    """Add the keyframes of a step in any direction but straight ahead; the other foot follows."""
     score.begin()
     angle = score.rng.uniform(0.6, 5.7)  # any direction except straight ahead
     far = score.about(0.34, 0.1)

@@ -119,7 +119,7 @@ class BestMethod(AnnotationMethod):
 
     @classmethod
     def fit(cls, examples: Motions[LabelledMotion], unlabelled: Motions[Motion], setting: Setting) -> BestMethod:
-        """Make the method; the common postures of the examples, or of all takes without any, serve as background."""
+        """Make the method with the common postures of the examples (of all takes if there are none) as background."""
         usual = background([one.words for one in best_known(examples or unlabelled)], setting.features)
         learned = tuple(with_usual_values(one, usual) for one in setting.templates)
         return cls(learned, setting.quantised, setting.class_index, usual, Decoding())

@@ -201,12 +201,14 @@ def at_most_per_class(clips: Sequence[Clip], how: ClipOptions) -> list[Clip]:
 
 
 def balanced_clips(clips: Sequence[Clip], how: ClipOptions) -> list[Clip]:
-    """Return, for each split, as many clips of every class as its rarest class has; content and seed decide which.
+    """Return for each split as many clips of every class as its rarest class has; without `balance`, all clips.
+
+    Content and seed decide which clips are kept.
 
     Raises
     ------
     KinedexError
-        No clip has a class.
+        No clip has a class, so that they cannot be balanced.
     """
     if not how.balance:
         return list(clips)

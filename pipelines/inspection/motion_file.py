@@ -341,7 +341,7 @@ _NO_RATE = "the rate is not in the file"
 
 
 def _rate_note(given: ReadSettings, ending: str, stated: bool) -> str:
-    """Return a note on the origin of a file's rate; empty if the file states the rate."""
+    """Return a note on the origin of a rate, which is given or assumed; empty if the rate is the file's own."""
     if given.override_rate_hz or (given.rate_hz and not stated):
         return " (given)"
     if stated:

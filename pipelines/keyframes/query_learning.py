@@ -245,12 +245,12 @@ def allowed_features(feature_set: FeatureSet, sets: Sequence[str]) -> int:
 def strict_template(training: TrainingSet, setting: LearningSettings) -> QuantisedTemplate:
     """Return the template whose columns become keyframes; its fixed entries hold for `steady` columns on either side.
 
-    If no entry is constant for so long, entries that are constant in their own column are used.
+    If no fixed entry keeps its value for so long, all fixed entries are used.
 
     Raises
     ------
     KinedexError
-        The clips have no such entry in common.
+        The template has no fixed entry of an allowed and known feature.
     """
     plain = quantise(learn_soft(training.positives, setting.features).template, setting.delta)
     allowed = np.uint64(setting.allowed & training.known)

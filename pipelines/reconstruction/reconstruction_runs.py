@@ -91,7 +91,7 @@ class ReconstructTask:
 
 
 def reconstruct_recording(task: ReconstructTask) -> FinishedTake:
-    """Reconstruct a recording.
+    """Track the person in a depth recording, and return the take with its results.
 
     Raises
     ------

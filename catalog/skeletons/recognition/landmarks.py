@@ -207,7 +207,7 @@ class Landmarks:
     _readings: dict[tuple[str, ...], Reading] = field(default_factory=dict, init=False, repr=False)
 
     def read(self, labels: Sequence[str]) -> Reading:
-        """Return the landmarks that labels name, without a common prefix and ending if more are known without them."""
+        """Return the landmarks of labels, from which a common prefix and ending are removed if more are then known."""
         known = self._readings.get(tuple(labels))
         if known is not None:
             return known

@@ -207,7 +207,10 @@ class RowFile(ABC):
         """
 
     def blocks(self) -> Iterator[npt.NDArray[np.float64]]:
-        """Yield the channels (T, C) of consecutive frames, in radians and a unit of length, valid until the next ones.
+        """Yield blocks of consecutive frames, as channels (T, C) in radians and a unit of length.
+
+        The unit of length is the file's own for BVH files, and the metre for AMC files. All blocks share memory, so
+        that a block is overwritten by the next one.
 
         Raises
         ------
