@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, cast
@@ -29,8 +30,10 @@ from kinedex.ops.intervals import Hit, Interval
 from kinedex.ops.wording import visible
 
 if TYPE_CHECKING:
+    from kinedex.catalog.queries.keyframe_query import KeyframeQuery
     from kinedex.ops.templates.templates import Kind
-    from kinedex.pipelines.templates.store_ranking import StoreRanking
+    from kinedex.pipelines.templates.store_ranking import RankingQuestion, StoreRanking
+    from kinedex.storage.store.store import Store
 
 
 template = group("template", "Show, compare and make motion templates.", ASK)
@@ -98,11 +101,8 @@ def rank(
     as_json: JsonOption = False,
 ) -> None:
     """Rank the intervals of an archive by how well templates fit, or by their similarity to an example."""
-    from kinedex.pipelines.templates.chosen_intervals import hit_of, template_of_chosen
     from kinedex.pipelines.templates.example_ranking import TAU as EXAMPLE_TAU
-    from kinedex.pipelines.templates.example_ranking import rank_by_examples
     from kinedex.pipelines.templates.store_ranking import TAU, RankingQuestion, rank_store
-    from kinedex.pipelines.templates.stored_templates import clip_range
 
     names = list(dict.fromkeys(templates or ()))
     _check_source(names, every, take, like, (start, stop), unlike)
@@ -114,16 +114,11 @@ def rank(
 
         asked = read_queries(queries, opened.feature_set, opened.rate_hz)
     begin = time.perf_counter()
-    examples = [hit_of(one, opened) for one in like or ()]
-    if take is not None:
-        examples = [Hit(Interval(take, *clip_range(opened, take, start, stop))), *examples]
+    examples = _examples(opened, take, start, stop, like or ())
     tau = tau or (EXAMPLE_TAU if examples else TAU)
     question = RankingQuestion(delta, tau, top, where, mirror, min(top, NEAREST), workers)
     if examples:
-        others = [hit_of(one, opened) for one in unlike or ()]
-        made = template_of_chosen(opened, take or EXAMPLE, examples, others, delta)
-        found = rank_by_examples(opened, made.named, examples, question, others, asked)
-        found = replace(found, remarks=(*made.remarks, *found.remarks))
+        found = _by_examples(opened, take or EXAMPLE, examples, unlike or (), question, asked)
     else:
         found = rank_store(opened, None if every else names, question, queries=asked, kind=_kind_of(kind), stage=stage)
     seconds = time.perf_counter() - begin
@@ -143,6 +138,33 @@ def rank(
     if output.output is not None:
         print_path(output.output)
     output.report()
+
+
+def _examples(store: Store, take: str | None, start: str | None, stop: str | None, like: Sequence[str]) -> list[Hit]:
+    """Return the intervals of the options --take and --like; none if templates are asked for."""
+    from kinedex.pipelines.templates.chosen_intervals import hit_of
+    from kinedex.pipelines.templates.stored_templates import clip_range
+
+    first = [] if take is None else [Hit(Interval(take, *clip_range(store, take, start, stop)))]
+    return [*first, *(hit_of(one, store) for one in like)]
+
+
+def _by_examples(
+    store: Store,
+    name: str,
+    examples: Sequence[Hit],
+    unlike: Sequence[str],
+    question: RankingQuestion,
+    queries: Sequence[KeyframeQuery] | None,
+) -> StoreRanking:
+    """Return the ranking by examples, with the remarks on their template."""
+    from kinedex.pipelines.templates.chosen_intervals import hit_of, template_of_chosen
+    from kinedex.pipelines.templates.example_ranking import rank_by_examples
+
+    rejected = [hit_of(one, store) for one in unlike]
+    made = template_of_chosen(store, name, examples, rejected, question.delta)
+    found = rank_by_examples(store, made.named, examples, question, rejected, queries)
+    return replace(found, remarks=(*made.remarks, *found.remarks))
 
 
 def _show_hits(found: StoreRanking, tau: float, summary: str) -> None:

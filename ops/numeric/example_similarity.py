@@ -23,7 +23,7 @@ NEIGHBOURS = 6
 """The number of nearest neighbours in other takes that are compared with an interval."""
 
 ROUNDS = 4
-"""How often neighbours are found and the covariance is computed from them."""
+"""The number of times that neighbours are found and the covariance is computed from them."""
 
 SHRINKAGE = 0.3
 """The share of the diagonal in the covariance."""
