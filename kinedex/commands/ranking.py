@@ -108,11 +108,7 @@ def rank(
     _check_source(names, every, take, like, (start, stop), unlike)
     output.check()
     opened = open_for_reading(store, at)
-    asked = None
-    if queries is not None:
-        from kinedex.catalog.queries.query_reader import read_queries
-
-        asked = read_queries(queries, opened.feature_set, opened.rate_hz)
+    asked = None if queries is None else _read_queries(queries, opened)
     begin = time.perf_counter()
     examples = _examples(opened, take, start, stop, like or ())
     tau = tau or (EXAMPLE_TAU if examples else TAU)
@@ -138,6 +134,13 @@ def rank(
     if output.output is not None:
         print_path(output.output)
     output.report()
+
+
+def _read_queries(file: str, store: Store) -> list[KeyframeQuery]:
+    """Return the queries of a file."""
+    from kinedex.catalog.queries.query_reader import read_queries
+
+    return list(read_queries(file, store.feature_set, store.rate_hz))
 
 
 def _examples(store: Store, take: str | None, start: str | None, stop: str | None, like: Sequence[str]) -> list[Hit]:

@@ -30,7 +30,7 @@ from tests.pipelines.archives import write_archive
 
 OF_OTHER_TESTS = (
     "init", "synth", "sql", "report compare", "template ", "query ", "keyframes ", "mapping new", "mapping nodes",
-    "mapping add", "mapping remove",
+    "mapping add", "mapping remove", "explain",
 )  # fmt: skip
 COMMANDS = ["demo", "run", "plan", "ingest", "inspect", "search", "sql", "takes", "verify", "synth", "version"]
 
@@ -304,8 +304,8 @@ def test_json_documents_have_the_keys_of_the_reference(store: Path, source: Path
         "gc": document("gc", store, "--dry-run"),
         "version": document("version"),
     }
-    # tests/pipelines/labels/test_decisions.py has annotations to decide on, and the demo prints what a run does; the
-    # others are in test_json_everywhere.py
+    # tests/pipelines/labels/test_decisions.py has annotations to decide on, tests/library/test_explanations.py labels
+    # to explain, and the demo prints what a run does; the others are in test_json_everywhere.py
     elsewhere = ("labels ", "demo", *OF_OTHER_TESTS)
     assert {command: list(keys) for command, keys in DOCUMENTS.items() if not command.startswith(elsewhere)} == {
         command: list(keys) for command, keys in found.items()
