@@ -148,7 +148,6 @@ def export_command(archive: Archive, what: IntervalSource, how: ClipOptions, fol
     words = [
         "export",
         str(archive.path),
-        *what.takes,
         f"--output={folder.rstrip(os.sep)}{os.sep}",
         f"--format={how.form}",
     ]

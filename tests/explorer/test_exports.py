@@ -13,7 +13,9 @@ import pytest
 from starlette.testclient import TestClient
 
 import kinedex
+from kinedex.explorer.exports import export_command
 from kinedex.explorer.jobs import Job, jobs_of
+from kinedex.pipelines.export.request import ClipOptions, IntervalSource
 from tests.explorer.conftest import Connect
 from tests.pipelines.labelled import clip, write_store
 
@@ -38,6 +40,14 @@ def plan(client: TestClient, **asked: object) -> Json:
     assert answer.status_code == 200, answer.text
     found: Json = answer.json()
     return found
+
+
+def test_the_name_of_a_take_is_no_option_of_the_command(connect: Connect) -> None:
+    archive = connect().app.app.state.archive  # type: ignore[attr-defined]
+    name = "--output=/elsewhere/"
+    words = export_command(archive, IntervalSource("takes", takes=(name,)), ClipOptions(), "here")
+    assert words.count(name) == 1
+    assert words[words.index("--") + 1 :] == (name,)
 
 
 def test_what_is_written_is_what_was_planned(connect: Connect, tmp_path: Path) -> None:
