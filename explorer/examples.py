@@ -42,10 +42,11 @@ from kinedex.ops.words import ALL_KNOWN, TakeWords, bits
 from kinedex.pipelines.keyframes.slice_search import stored_words
 from kinedex.pipelines.labels.decisions import record_decisions
 from kinedex.pipelines.templates.chosen_intervals import ChosenTemplate, label_of, template_of_chosen
-from kinedex.pipelines.templates.example_ranking import TAU, rank_by_examples
+from kinedex.pipelines.templates.example_ranking import rank_by_examples
 from kinedex.pipelines.templates.ranked_hits import RankedTemplate
 from kinedex.pipelines.templates.ranking import mirrored_template
 from kinedex.pipelines.templates.store_ranking import DELTA, TOP, RankingQuestion
+from kinedex.pipelines.templates.store_ranking import EXAMPLE_TAU as TAU
 from kinedex.storage.snapshot.schemas import hits_of
 from kinedex.storage.store.store import Store
 

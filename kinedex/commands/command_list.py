@@ -49,7 +49,7 @@ COMMANDS = {
     "explain": Listed(ASK, "explanations", "Explain which class an interval of a take shows, by quantities."),
     "template": Listed(ASK, "ranking", "Show, compare and make motion templates."),
     "search": Listed(SEARCH, "queries", "Search for keyframe queries with the index."),
-    "rank": Listed(SEARCH, "ranking", "Rank the intervals of an archive by how well templates fit."),
+    "rank": Listed(SEARCH, "ranking", "Rank the intervals of an archive by templates, or by an example."),
     "keyframes": Listed(SEARCH, "queries", "Learn keyframe queries from example clips."),
     "query": Listed(SEARCH, "queries", "Make keyframe queries."),
     "reconstruct": Listed(TRACK, "tracking", "Make takes of recordings by a depth camera."),

@@ -100,9 +100,8 @@ def rank(
     at: AtOption = None,
     as_json: JsonOption = False,
 ) -> None:
-    """Rank the intervals of an archive by how well templates fit, or by their similarity to an example."""
-    from kinedex.pipelines.templates.example_ranking import TAU as EXAMPLE_TAU
-    from kinedex.pipelines.templates.store_ranking import TAU, RankingQuestion, rank_store
+    """Rank the intervals of an archive by templates, or by an example."""
+    from kinedex.pipelines.templates.store_ranking import EXAMPLE_TAU, TAU, RankingQuestion, rank_store
 
     names = list(dict.fromkeys(templates or ()))
     _check_source(names, every, take, like, (start, stop), unlike)
@@ -145,11 +144,14 @@ def _read_queries(file: str, store: Store) -> list[KeyframeQuery]:
 
 def _examples(store: Store, take: str | None, start: str | None, stop: str | None, like: Sequence[str]) -> list[Hit]:
     """Return the intervals of the options --take and --like; none if templates are asked for."""
-    from kinedex.pipelines.templates.chosen_intervals import hit_of
     from kinedex.pipelines.templates.stored_templates import clip_range
 
-    first = [] if take is None else [Hit(Interval(take, *clip_range(store, take, start, stop)))]
-    return [*first, *(hit_of(one, store) for one in like)]
+    examples = [] if take is None else [Hit(Interval(take, *clip_range(store, take, start, stop)))]
+    if like:
+        from kinedex.pipelines.templates.chosen_intervals import hit_of
+
+        examples += [hit_of(one, store) for one in like]
+    return examples
 
 
 def _by_examples(
@@ -161,8 +163,15 @@ def _by_examples(
     queries: Sequence[KeyframeQuery] | None,
 ) -> StoreRanking:
     """Return the ranking by examples, with the remarks on their template."""
-    from kinedex.pipelines.templates.chosen_intervals import hit_of, template_of_chosen
     from kinedex.pipelines.templates.example_ranking import rank_by_examples
+
+    if len(examples) == 1 and not unlike and not examples[0].mirrored:
+        from kinedex.pipelines.templates.stored_templates import template_from_clip
+
+        return rank_by_examples(
+            store, template_from_clip(store, *examples[0].interval), examples, question, (), queries
+        )
+    from kinedex.pipelines.templates.chosen_intervals import hit_of, template_of_chosen
 
     rejected = [hit_of(one, store) for one in unlike]
     made = template_of_chosen(store, name, examples, rejected, question.delta)
@@ -190,7 +199,7 @@ def _check_source(
 ) -> None:
     """Raise an error unless exactly one source of templates is given, with options that belong to it."""
     by_example = take is not None or like
-    given = (("TEMPLATE", names), ("--all", every), ("--take or --like", by_example))
+    given = (("TEMPLATE", names), ("--all", every), ("--like" if take is None else "--take", by_example))
     sources = [text for text, present in given if present]
     if len(sources) > 1:
         raise KinedexError(

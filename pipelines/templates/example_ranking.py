@@ -21,9 +21,6 @@ from kinedex.storage.snapshot.parts import joint_positions
 from kinedex.storage.snapshot.schemas import comparison_schema, hits_of
 from kinedex.storage.store.store import Store
 
-TAU = 0.5
-"""The default threshold τ of a search by example, below which an interval is a candidate."""
-
 CANDIDATES = 600
 """The number of candidates of least cost that are ordered by similarity; others come after them, by their cost."""
 
@@ -99,8 +96,10 @@ def _ordered(store: Store, hits: pa.Table, examples: F64, rejected: Sequence[F64
     similarity = np.full(hits.num_rows, np.nan)
     probable = np.zeros(hits.num_rows, np.bool_)
     similarity[known], probable[known] = compared
-    order = np.argsort(-similarity, kind="stable")
-    return _with_comparison(hits, similarity, probable).take(order)
+    order = np.argsort(-similarity, kind="stable").tolist()
+    found = _with_comparison(hits, similarity, probable)
+    values = [column.to_pylist() for column in found.columns]  # `Table.take` would load `pyarrow.compute`
+    return pa.table([[own[place] for place in order] for own in values], schema=found.schema)
 
 
 def _with_comparison(hits: pa.Table, similarity: F64, probable: Bool) -> pa.Table:

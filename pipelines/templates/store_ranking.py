@@ -22,6 +22,9 @@ from kinedex.storage.store.store import Store
 DELTA, TAU, TOP = 0.1, 0.1, 20
 """Default thresholds δ and τ of a ranking, as in configs/pipelines/retrieval.yaml, and default number of hits."""
 
+EXAMPLE_TAU = 0.5
+"""The default threshold τ of a search by example, below which an interval is a candidate."""
+
 FARTHEST = 1.0
 """The cost where every fixed entry of a template is wrong, which is the largest possible."""
 

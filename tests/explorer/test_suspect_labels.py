@@ -44,4 +44,4 @@ def test_labels_without_a_body_are_counted(connect: Connect) -> None:
     found = connect().post("/api/labels/suspects", json={}).json()
     assert (found["judged"], found["total"]) == (0, 0)
     (remark,) = found["remarks"]
-    assert remark.startswith("8 labels not judged: positions must be with hips or shoulders that are apart from above")
+    assert remark.startswith("8 labels not judged: positions must be with legs that have a length")

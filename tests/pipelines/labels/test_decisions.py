@@ -167,6 +167,7 @@ def test_json_documents_have_the_keys_of_the_reference(line: Line, tmp_path: Pat
         "accept": ("--all",),
         "reject": ("--all",),
         "list": (),
+        "suspects": (),
     }
     found = {
         f"labels {name}": json.loads(run("labels", name, line.store, *own, "--json")) for name, own in words.items()
