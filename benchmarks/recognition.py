@@ -42,18 +42,19 @@ def figures(_: Store) -> Iterator[Figure]:
     learned = learn()
     frames = sum(len(take) for take in takes)
     found = [channels(take, JOINTS, store.rate_hz) for take in takes]
-    projected = [learned.rows.project(one.frames) for one in found]
+    rows = learned.model.rows
+    projected = [rows.project(one.frames) for one in found]
     spans = [
-        spans_between(candidate_cuts(one, learned.rows.columns).cuts, np.exp(learned.log_frames)) for one in projected
+        spans_between(candidate_cuts(one, rows.columns).cuts, np.exp(learned.model.log_frames)) for one in projected
     ]
-    naive = seconds(lambda: [learned.rows.evidence(one.frames) for one in found])
+    naive = seconds(lambda: [rows.evidence(one.frames) for one in found])
     beside = ("evidence alone, in numpy with 64 bits", naive)
-    name = f"labels by numbers, {len(learned.classes)} classes, {len(learned.rows.states)} states"
+    name = f"labels by numbers, {len(learned.classes)} classes, {len(rows.states)} states"
     yield Figure(name, frames, "frames", seconds(lambda: [learned.label(take) for take in takes]), *beside)
     steps = {
         "channels": lambda: [channels(take, JOINTS, store.rate_hz) for take in takes],
-        "projection": lambda: [learned.rows.project(one.frames) for one in found],
-        "candidate cuts": lambda: [candidate_cuts(one, learned.rows.columns) for one in projected],
+        "projection": lambda: [rows.project(one.frames) for one in found],
+        "candidate cuts": lambda: [candidate_cuts(one, rows.columns) for one in projected],
         "descriptors": lambda: [
             SpanSums(one, store.rate_hz).describe(own.starts, own.stops) for one, own in zip(found, spans, strict=True)
         ],

@@ -42,7 +42,8 @@ from kinedex.pipelines.engine.runner import run_pipeline
 from kinedex.storage.store.store import Store, open_store
 from studies import BUILD
 from studies.bandai import ingest
-from studies.recognition import Motion, end_to_end, mirrored, motions_of
+from studies.recognition_methods import mirrored
+from studies.recognition_protocols import Motion, end_to_end, motions_of
 
 SHARE, MOST_NAMED, FIRST_DRAW = 0.05, 8, 100
 PATTERN = r"clips/(?P<class>[^/]+)/[^/_]+_(?P<actor>[^/_]+)_.*_(?P<clip>\d+)_\d+\."
@@ -116,7 +117,7 @@ def at_rate(take: Motion, factor: float) -> Motion:
     times = np.arange(0, len(take.words) - 1, 1 / factor)
     before, share = times.astype(int), (times % 1)[:, None, None]
     positions = (1 - share) * take.positions[before] + share * take.positions[before + 1]
-    return Motion(positions, take.words[before], ((0, len(before), take.truth[0][2]),))
+    return Motion(take.name, positions, take.words[before], ((0, len(before), take.truth[0][2]),))
 
 
 def judged(found: Labelled, rate_hz: float) -> list[Judgement]:

@@ -131,7 +131,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
             print("| search | P@10 | least of a class | mAP | right above the line | of all right |")
             print("|---|--:|--:|--:|--:|--:|")
             for name, search in SEARCHES.items():
-                print(line(name, list(judge(store, search, asked.where, asked.every))), flush=True)
+                found = list(judge(store, search, asked.where, asked.every))
+                if not found:
+                    parser.error(f"{path}: no class with {LEAST} takes or more has an example among the chosen takes")
+                print(line(name, found), flush=True)
     return 0
 
 
