@@ -16,6 +16,7 @@ from tests.plain_python import PLAIN
 
 SEVERAL: dict[str, tuple[int, str]] = {
     "kinedex.ops.distances.costs.fill_bounds": (2, "bounds of long templates need more than a byte"),
+    "kinedex.ops.numeric.span_descriptors._sum_up": (2, "speeds are an array of their own, others are columns of one"),
     "kinedex.ops.templates.averaging.add_others": (2, "clips are numbers or words"),
     "kinedex.ops.templates.warping.align_pairs": (2, "clips are numbers or words"),
 }
