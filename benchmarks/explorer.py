@@ -18,11 +18,13 @@ from kinedex.catalog.queries.keyframe_query import KeyframeQuery
 from kinedex.catalog.queries.query_reader import read_queries
 from kinedex.console.terminal import make_console
 from kinedex.ops.distances.dtw import distance_curves
+from kinedex.ops.intervals import Hit, Interval
 from kinedex.ops.templates.templates import quantise
 from kinedex.pipelines.keyframes.proposed_query import propose_query
 from kinedex.pipelines.keyframes.slice_search import stored_words
 from kinedex.pipelines.keyframes.store_search import search_store
-from kinedex.pipelines.templates.store_ranking import DELTA, RankingQuestion, rank_store
+from kinedex.pipelines.templates.example_ranking import rank_by_examples
+from kinedex.pipelines.templates.store_ranking import DELTA, EXAMPLE_TAU, RankingQuestion
 from kinedex.pipelines.templates.stored_templates import template_from_clip
 from kinedex.storage.store.store import Store
 
@@ -37,7 +39,7 @@ PLAIN_TAKES = sized(20, 4)
 """The curves of so many takes are timed for the comparison, and counted for all frames."""
 
 
-ASKED = RankingQuestion(top=TOP, mirror=True, workers=THREADS)
+ASKED = RankingQuestion(tau=EXAMPLE_TAU, top=TOP, mirror=True, workers=THREADS)
 
 
 def figures(_: Store | None = None) -> list[Figure]:
@@ -53,7 +55,8 @@ def _examples(store: Store, hours: float) -> list[Figure]:
     found = []
     for length in LENGTHS:
         example = template_from_clip(store, take, 300, 300 + length)
-        took = seconds(lambda one=example: rank_store(store, [one], ASKED), RUNS)  # type: ignore[misc]
+        hit = Hit(Interval(take, 300, 300 + length))
+        took = seconds(lambda one=example, at=hit: rank_by_examples(store, one, [at], ASKED), RUNS)  # type: ignore[misc]
         title = f"{TOP} best of {hours:.0f} h by an example of {length / store.rate_hz:g} s, both sides"
         found.append(Figure(title, hours, "hours", took, f"asked for: {EXAMPLE_SECONDS:g} s", EXAMPLE_SECONDS))
         template = quantise(example.template, DELTA)

@@ -13,8 +13,7 @@ import numpy as np
 from kinedex.ops.arrays import F64
 from kinedex.storage.formats.motion.fbx_records import Record, read_records
 from kinedex.storage.formats.motion.fbx_scene import BONES, rotations_of
-from studies.skeleton_mutations import BvhText
-from studies.turns import node_names
+from studies.skeleton_mutations import BvhText, node_names
 from studies.wild_variants import euler_angles
 from tests.bvh_files import POSITIONS, ROTATIONS, Joint
 from tests.fbx_files import ORDERS, Builder, Part, properties

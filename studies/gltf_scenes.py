@@ -16,8 +16,7 @@ import numpy.typing as npt
 
 from kinedex.ops.arrays import F64
 from kinedex.ops.body.kinematics import quaternions
-from studies.skeleton_mutations import BvhText
-from studies.turns import about, local_motion, node_names
+from studies.skeleton_mutations import BvhText, about, local_motion, node_names
 
 _COMPONENTS = {5120: "i1", 5121: "u1", 5122: "<i2", 5123: "<u2", 5125: "<u4", 5126: "<f4"}
 _SIZES = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4, "MAT4": 16}

@@ -7,6 +7,8 @@ from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
+import numpy as np
+
 from kinedex.library.take import Take
 from kinedex.library.take_collection import TakeCollection
 from kinedex.ops.arrays import F64
@@ -395,7 +397,7 @@ class TakeSearch(TakeCollection):
         if isinstance(take, Take):
             first, last = frame_range(take.name, len(take), take.rate_hz, start, stop)
             template = Template.from_clip(take, start, stop).named
-            examples = [take.positions[first:last].astype("float64")]
+            examples = [_joints_of(take[first:last], stored.feature_set.joints)]
         else:
             if isinstance(take, str | int):
                 chosen = take if isinstance(take, str) else self[take].name
@@ -411,6 +413,14 @@ class TakeSearch(TakeCollection):
         for remark in (*found.remarks, *found.misses(tau, "tau=")):
             warnings.warn(remark, stacklevel=2)
         return data_frame(found.table()).drop("run")
+
+
+def _joints_of(take: Take, joints: Sequence[str]) -> F64:
+    """Return the positions of a take at given joints, float64 (T, J, 3); NaN for joints that it has not."""
+    place = {joint: number for number, joint in enumerate(take.joints)}
+    positions = take.positions.astype(np.float64)
+    lost = np.full_like(positions[:, 0], np.nan)
+    return np.stack([positions[:, place[joint]] if joint in place else lost for joint in joints], axis=1)
 
 
 def _check_ranking(top: int | None, tau: float) -> None:

@@ -6,6 +6,7 @@ The covariance is common to all classes, so that what varies within one of them 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
@@ -82,6 +83,13 @@ class Discriminant:
         scores -= scores.max(axis=1, keepdims=True)
         return scores - np.log(np.exp(scores).sum(axis=1, keepdims=True))
 
+    @cached_property
+    def _whitening(self) -> tuple[F64, F64]:
+        """Return the matrix (D, D) that whitens standardised descriptors, and the axes that the whitened means span."""
+        whitening = np.linalg.inv(self.lower).astype(np.float64).T
+        white = self.means @ whitening
+        return whitening, np.linalg.svd(white - white.mean(axis=0), full_matrices=False)[2][: max(len(white) - 1, 1)]
+
     def distances(self, descriptors: F64, classes: I64) -> F64:
         """Return how far descriptors are from the mean of a class, by the covariance within classes, float64 (S, 2).
 
@@ -95,9 +103,8 @@ class Discriminant:
         classes : int64 array (S,)
             The class of each.
         """
-        white = np.linalg.solve(self.lower, self.means.T).T
-        axes = np.linalg.svd(white - white.mean(axis=0), full_matrices=False)[2][: max(len(white) - 1, 1)]
-        away = np.linalg.solve(self.lower, ((descriptors - self.centre) / self.scale - self.means[classes]).T).T
+        whitening, axes = self._whitening
+        away = ((descriptors - self.centre) / self.scale - self.means[classes]) @ whitening
         within = ((away @ axes.T) ** 2).sum(axis=1)
         return np.stack([within, np.maximum((away**2).sum(axis=1) - within, 0.0)], axis=1)
 

@@ -121,8 +121,8 @@ class TakeSpans(NamedTuple):
     def evidence(self, chosen: I64) -> F64:
         """Return the evidence of the states of every class in spans of a chain, float64 (n, P); −∞ where none fits."""
         starts, stops = self.spans.starts[chosen], self.spans.stops[chosen]
-        found = span_evidence(self.projected, self.columns, self.candidates.background, starts, stops)
-        return np.where(self.spans.fits[chosen], found, -np.inf)
+        fits = self.spans.fits[chosen]
+        return span_evidence(self.projected, self.columns, self.candidates.background, starts, stops, fits)
 
 
 @dataclass(frozen=True)

@@ -140,10 +140,11 @@ def best_chain(
     return _chain(evidence, len(candidates.cuts), spans, worth, bounds, np.float32(readiness))
 
 
-def span_evidence(projected: F32, columns: StateColumns, background: F32, starts: I64, stops: I64) -> F64:
+def span_evidence(projected: F32, columns: StateColumns, background: F32, starts: I64, stops: I64, fits: Bool) -> F64:
     """Return the evidence of the best paths through the states of every class in given spans, float64 (n, P).
 
-    It is −∞ where a span is too short for a path from the first to the last state of a class.
+    It is −∞ where the length of a span is not admissible for a class, and where it is too short for a path from the
+    first to the last state.
 
     Parameters
     ----------
@@ -155,23 +156,25 @@ def span_evidence(projected: F32, columns: StateColumns, background: F32, starts
         The evidence of the background in each frame.
     starts, stops : int64 array (n,)
         The half-open ranges of the spans, which do not overlap, in ascending order.
+    fits : bool array (n, P)
+        True if the length of the span is admissible for the class.
     """
     longest = int((stops - starts).max(initial=1))
     ring = np.empty((1 << (longest - 1).bit_length(), columns.states.shape[1]), np.float32)
-    return _span_evidence(
-        _Evidence(projected, background, columns.states, ring, columns.lasts, columns.firsts), starts, stops
-    )
+    evidence = _Evidence(projected, background, columns.states, ring, columns.lasts, columns.firsts)
+    return _span_evidence(evidence, starts, stops, fits)
 
 
 @nb.njit(cache=True, nogil=True)
-def _span_evidence(evidence: _Evidence, starts: I64, stops: I64) -> F64:
+def _span_evidence(evidence: _Evidence, starts: I64, stops: I64, fits: Bool) -> F64:
     """Return the evidence of every class in given spans, float64 (n, P) (kernel); see `span_evidence`."""
     classes = len(evidence.firsts)
     computed = np.zeros(classes, np.int64)
-    found = np.empty((len(starts), classes))
+    found = np.full((len(starts), classes), -np.inf)
     for n in range(len(starts)):
         for k in range(classes):
-            found[n, k] = _paths(evidence, k, starts[n], stops[n : n + 1], computed, np.float32(0.0))[0]
+            if fits[n, k]:
+                found[n, k] = _paths(evidence, k, starts[n], stops[n : n + 1], computed, np.float32(0.0))[0]
     return found
 
 

@@ -24,6 +24,9 @@ from kinedex.storage.store.store import Store
 CANDIDATES = 600
 """The number of candidates of least cost that are ordered by similarity; others come after them, by their cost."""
 
+NEEDED = "a pair of hips or shoulders and a whole leg"
+"""The joints without which an interval cannot be described."""
+
 
 def rank_by_examples(
     store: Store,
@@ -66,19 +69,39 @@ def rank_by_examples(
     found = rank_store(store, [template], replace(asked, top=top), queries=queries)
     (ranking,) = found.rankings
     described = [one for hit in examples if (one := _descriptor(store, hit)) is not None]
-    remarks = found.remarks
+    remarks = list(found.remarks)
+    if 0 < len(described) < len(examples):
+        remarks.append(f"examples without {NEEDED}, not compared: {len(examples) - len(described)}")
     if described:
-        others = [one for hit in rejected if (one := _descriptor(store, hit)) is not None]
-        hits = _ordered(store, ranking.hits, np.stack(described), others)
+        used: Bool = np.asarray(np.isfinite(np.stack(described)).all(axis=0))  # of joints that all examples know
+        others = [_descriptor(store, hit) for hit in rejected]
+        unlike = [one[used] for one in others if one is not None and np.isfinite(one[used]).all()]
+        if len(unlike) < len(rejected):
+            remarks.append(f"rejected intervals that lack joints of the examples, ignored: {len(others) - len(unlike)}")
+        hits = _ordered(store, ranking.hits, np.stack(described), used, unlike)
     else:
-        remarks += ("no example has a pair of hips or shoulders and a whole leg: hits are in the order of their costs",)
+        remarks.append(f"no example has {NEEDED}: hits are in the order of their costs")
         hits = _with_comparison(ranking.hits, np.full(len(ranking), np.nan), np.zeros(len(ranking), np.bool_))
     kept = replace(ranking, hits=as_ranked(hits.slice(0, asked.top)))
-    return replace(found, rankings=(kept,), remarks=remarks, compared=True)
+    return replace(found, rankings=(kept,), remarks=tuple(remarks), compared=True)
 
 
-def _ordered(store: Store, hits: pa.Table, examples: F64, rejected: Sequence[F64]) -> pa.Table:
-    """Return hits in the order of their similarity to examples; those that cannot be compared follow by their cost."""
+def _ordered(store: Store, hits: pa.Table, examples: F64, used: Bool, rejected: Sequence[F64]) -> pa.Table:
+    """Return hits in the order of their similarity to examples; those that cannot be compared follow by their cost.
+
+    Parameters
+    ----------
+    store : Store
+        The store of the hits.
+    hits : pyarrow.Table
+        The hits in the order of their costs.
+    examples : float64 array (E, D)
+        The descriptors of the examples.
+    used : bool array (D,)
+        The numbers that are compared.
+    rejected : sequence of float64 arrays
+        These numbers of intervals that do not show the motion.
+    """
     first = hits.slice(0, CANDIDATES)
     if not first.num_rows:
         return _with_comparison(hits, np.empty(0), np.empty(0, np.bool_))
@@ -86,13 +109,10 @@ def _ordered(store: Store, hits: pa.Table, examples: F64, rejected: Sequence[F64
     for place, one in _descriptors(store, hits_of(first)):
         if one is not None:
             descriptors[place] = one
-    used = np.isfinite(examples).all(axis=0)  # of joints that every example knows
     known = np.flatnonzero(np.isfinite(descriptors[:, used]).all(axis=1))
     takes = np.array(first.column("take_id").to_pylist(), np.int64)
-    unlike = [one[used] for one in rejected if np.isfinite(one[used]).all()]
-    compared = compare(
-        examples[:, used], descriptors[known][:, used], takes[known], np.array(unlike).reshape(len(unlike), used.sum())
-    )
+    unlike = np.array(rejected).reshape(len(rejected), np.count_nonzero(used))
+    compared = compare(examples[:, used], descriptors[known][:, used], takes[known], unlike)
     similarity = np.full(hits.num_rows, np.nan)
     probable = np.zeros(hits.num_rows, np.bool_)
     similarity[known], probable[known] = compared

@@ -68,3 +68,17 @@ def test_bad_examples_are_named(store: kinedex.Store, squats: list[str]) -> None
         store.similar([squats[0]], 3, 9)
     with pytest.raises(KinedexError, match="example"):
         store.similar([])
+
+
+def test_a_take_of_few_joints_is_compared_by_these(store: kinedex.Store, squats: list[str]) -> None:
+    take = store[squats[0]]
+    positions = take.positions.copy()
+    positions[:, take.joints.index("head")] = float("nan")
+    partial = kinedex.Take.from_positions(positions, take.rate_hz, joints=take.joints, name="without a head")
+    found = store.similar(partial, top=3)
+    assert found["take"][0] == squats[0]
+    assert found["similarity"][0] > 0.9
+    positions[:, [take.joints.index(one) for one in ("lknee", "rknee")]] = float("nan")
+    legless = kinedex.Take.from_positions(positions, take.rate_hz, joints=take.joints, name="without knees")
+    with pytest.warns(UserWarning, match="no example has a pair of hips or shoulders and a whole leg"):
+        store.similar(legless, top=3)

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 
 from kinedex.ops.arrays import F64, I64
 from kinedex.ops.numeric.candidate_cuts import Candidates, candidate_cuts
-from kinedex.ops.numeric.span_chain import Spans, best_chain, spans_between
+from kinedex.ops.numeric.span_chain import Spans, best_chain, span_evidence, spans_between
 from tests.ops.numeric.test_candidate_cuts import COLUMNS, FIRSTS, evidence_of, projected_frames
 from tests.oracles.recognition import best_spans, path_evidence
 
@@ -49,6 +49,22 @@ def test_a_chain_is_the_best_of_all(frames: int, seed: int, readiness: float, sc
     for score, (start, stop, k) in zip(found.scores, expected, strict=True):
         own = evidence[start:stop, FIRSTS[k] : FIRSTS[k + 1]] + readiness
         assert score == pytest.approx(path_evidence(own) + allowed[start, stop, k], abs=1e-3)
+
+
+@settings(max_examples=30, deadline=None)
+@given(cuts=st.sets(st.integers(0, 40), min_size=2), seed=st.integers(0, 999), gaps=st.booleans())
+def test_the_evidence_of_spans_is_that_of_the_best_paths(cuts: set[int], seed: int, gaps: bool) -> None:
+    projected = projected_frames(40, seed)
+    background = candidate_cuts(projected, COLUMNS).background
+    edges = np.array(sorted(cuts))
+    starts, stops = edges[:-1][:: 1 + gaps], edges[1:][:: 1 + gaps]
+    fits = np.random.default_rng(seed).random((len(starts), len(FIRSTS) - 1)) < 0.7
+    found = span_evidence(projected, COLUMNS, background, starts, stops, fits)
+    evidence = evidence_of(projected)
+    for own, allowed, start, stop in zip(found, fits, starts.tolist(), stops.tolist(), strict=True):
+        for k, value in enumerate(own.tolist()):
+            expected = path_evidence(evidence[start:stop, FIRSTS[k] : FIRSTS[k + 1]]) if allowed[k] else -np.inf
+            assert value == pytest.approx(expected, abs=1e-3)
 
 
 def test_of_classes_with_equal_scores_it_is_the_first() -> None:
