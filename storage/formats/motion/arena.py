@@ -52,7 +52,9 @@ class _Frames:
         """Add the place of a point in the last frame; the first of equal labels counts."""
         self.places.setdefault(label, {}).setdefault(len(self.numbers) - 1, place)
         if len(self.places) > MAX_POINTS:
-            raise SourceError(path, f"expected at most {MAX_POINTS} points", line=self.lines[-1])
+            raise SourceError(
+                path, f"expected at most {MAX_POINTS} points; export named markers alone", line=self.lines[-1]
+            )
 
 
 class ArenaReader(PointsReader):

@@ -17,6 +17,7 @@ from kinedex.catalog.skeletons.recognition.landmarks import load_landmarks
 from kinedex.ops.arrays import F64, I64, Bool
 from kinedex.ops.body.rigid_segments import MIN_MARKERS, mean_shape
 from kinedex.ops.errors import ParameterError
+from kinedex.ops.wording import name_list
 from kinedex.storage.formats.motion.hidden_markers import Shapes, placed_by_shapes
 
 _MOST_FRAMES = 64  # frames of which a shape is the mean, spread evenly
@@ -164,7 +165,7 @@ class Added(NamedTuple):
     def refusal(self, name: str) -> str:
         """Return a warning on the markers that are placed in no frame, given the name of the static trial."""
         return (
-            f"the static trial {name} has {', '.join(self.refused[:6])}, which this file lacks and no segment places: "
+            f"the static trial {name} has {name_list(self.refused)}, which this file lacks and no segment places: "
             "three markers of a segment must be seen, and keep the distances that they have in the static trial"
         )
 
